@@ -151,7 +151,7 @@ def alignment_of_the_case(u: Array, draws: int, rng: np.random.Generator) -> flo
     for _ in range(draws):
         seen = faces + PLATE * np.cross(faces, rng.standard_normal(faces.shape))
         seen /= np.linalg.norm(seen, axis=1, keepdims=True)
-        found = align_case(seen, np.zeros((len(seen), 3, 0)), faces, rests=np.arange(len(seen))).alignment.mat_cb
+        found = align_case(seen, np.zeros((len(seen), 3, 0)), faces).alignment.mat_cb
         total += float(0.5 * ((found - np.eye(3)) ** 2).sum()) / 3.0
     return float(np.sqrt(total / draws) / DEGREE)
 

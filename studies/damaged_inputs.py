@@ -538,7 +538,7 @@ OPTIONS = (
     "plan --rest _ --turn-rate _ --latitude _",
     "plan --gravity _ --gravity-u _ --table-error _ --mounting-error _",
     "plan --method sequential --sources --rest _ --turn-rate _ --latitude _ --gravity _ --iterations _",
-    "plan --attitude _ --axes _ --step _",
+    "plan --attitude _",
     "plan --want accel.scale=_ppm",
     "ellipsoid {}/readings.csv --scale _,_,_ --gravity _ --out {out}/c.json",
     "ellipsoid {}/readings.csv --unit m/s^2 --position _=_,_,_ --serial _ --out {out}/c.json",

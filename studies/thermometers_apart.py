@@ -22,7 +22,7 @@ from tumble.inference.joint import joint
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.thermometer import Thermometers
-from tumble.run.from_estimate import references_of
+from tumble.run.from_estimate import sensor_temperatures
 from tumble.sensors.parameters import usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, itinerary, scenario_of
@@ -66,7 +66,7 @@ def with_one(observations: Observations, t: int) -> Observations:
 
 def errors(scenario: Scenario, observations: Observations) -> dict[str, Array]:
     """Errors over u by kind of sensors, with Student's t taken to the normal distribution."""
-    found, references = joint(observations), references_of(observations)
+    found, references = joint(observations), sensor_temperatures(observations)
     given = dict(scenario.truth) | {REFERENCE_NAME: REFERENCE}
     true = truth_at(given, REFERENCE, lambda name: references.get(name.partition(".")[0], (REFERENCE,))[0])
     own = {kind: [i for i, n in enumerate(found.names) if n in true and _is_of(n, kind)] for kind in KINDS}

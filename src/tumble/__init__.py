@@ -1,13 +1,13 @@
 """tumble: calibration of strapdown inertial measurement units from recordings made on rough equipment.
 
-The way the data go
+Flow of data
     session.toml + log → Session, Log → rests and turns → Observations → method → Estimate → Calibration
 
 Conventions, for every module
     units     SI and radians inside; a name that is not SI carries its unit (`latitude_deg`)
     frames    b  body X, Y, Z, fixed by the accelerometers (see `model`)
               n  geographic N (north), U (up), E (east), right-handed in the order N, U, E
-              s  sensor: one coordinate a sensor
+              s  sensor: one coordinate per sensor
     vectors   `vec_a` is resolved in frame a; `mat_ab` takes coordinates in b to a
     model     reading = matrix @ true + bias; matrix n×3 = diag(1 + k) A(γ), Eq. (1) of the turntable paper
     gravity   an accelerometer at rest with its axis up reads +g; g is positive, m/s²
@@ -32,5 +32,5 @@ __all__ = ["__version__", *_NAMES]
 
 
 def __dir__() -> list[str]:
-    """The public names, imported or not."""
+    """Return the public names, imported or not."""
     return __all__

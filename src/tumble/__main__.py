@@ -1,4 +1,4 @@
-"""`tumble` and `python -m tumble`: the command line, also where it is ended before it has begun."""
+"""Entry point of `tumble` and `python -m tumble`."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ def _nowhere() -> TextIO:
 
 
 def run() -> None:
-    """The command line, as the process it is in. No process that it starts takes a module of the working folder for one
-    of Python's, and no file that it opens the place of an output that is closed."""
+    """Run the command line.
+
+    Processes that it starts do not import modules from the working folder (PYTHONSAFEPATH), and the descriptors of
+    closed standard streams are occupied, so that no file takes their place."""
     os.environ.setdefault("PYTHONSAFEPATH", "1")
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= _STANDARD_ERROR:
         pass

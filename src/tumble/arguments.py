@@ -1,4 +1,4 @@
-"""Arguments of public functions are of the types that are annotated, or refused in one line."""
+"""Checks of the arguments of public functions against their annotations."""
 
 from __future__ import annotations
 
@@ -30,18 +30,19 @@ _PLAIN: Mapping[Any, tuple[str, tuple[type, ...]]] = {
 
 
 def checked(function: Callable[P, R]) -> Callable[P, R]:
-    """A function that raises InputError for arguments of other types than it states. Numbers may be those of NumPy, and
-    sequences arrays; which texts and numbers may be given is for the function itself to say."""
+    """Decorate a function to raise InputError for arguments of other types than it annotates.
+
+    Numbers may be those of NumPy, and sequences arrays; their values are for the function itself to check."""
     parameters = signature(function).parameters
 
     @cache
-    def stated() -> Mapping[str, Any]:
+    def hints_by_name() -> Mapping[str, Any]:
         return get_type_hints(function, localns=_Names(function))
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         for name, given in signature(function).bind(*args, **kwargs).arguments.items():
-            kind, hint = parameters[name].kind, stated()[name]
+            kind, hint = parameters[name].kind, hints_by_name()[name]
             if kind is Parameter.VAR_KEYWORD:
                 hints = get_type_hints(get_args(hint)[0]) if get_args(hint) else {}
                 _check(function.__name__, given, hints)
@@ -54,7 +55,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 
 class _Names(dict[str, Any]):
-    """Names that the annotations of a function use and its module imports for type checkers alone."""
+    """Names in the annotations of a function that its module imports only for type checkers."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__()
@@ -79,54 +80,54 @@ def _check(function: str, given: Mapping[str, Any], hints: Mapping[str, Any]) ->
 
 
 def _fits(value: Any, hint: Any) -> bool:
-    """Whether a value is of a type."""
+    """Return True if a value is of the annotated type."""
     origin: Any = get_origin(hint) or hint
-    of = get_args(hint)
+    args = get_args(hint)
     if origin in _PLAIN:
-        number_of_0_dimensions = origin in (int, float) and isinstance(value, np.ndarray) and value.ndim == 0
-        truth = isinstance(value, bool | np.bool_) and origin is not bool
-        return number_of_0_dimensions or (isinstance(value, _PLAIN[origin][1]) and not truth)
+        is_0d_array = origin in (int, float) and isinstance(value, np.ndarray) and value.ndim == 0
+        is_misplaced_bool = isinstance(value, bool | np.bool_) and origin is not bool
+        return is_0d_array or (isinstance(value, _PLAIN[origin][1]) and not is_misplaced_bool)
     if origin is Literal:
-        return any(isinstance(value, type(one)) for one in of)
+        return any(isinstance(value, type(one)) for one in args)
     if origin is np.ndarray:
         try:
             return np.asarray(value).dtype.kind in "biuf"
-        except ValueError:  # of rows that are not of one length
+        except ValueError:  # rows of different lengths
             return False
     if getattr(origin, "_is_protocol", False):
         return True
     if origin in (Union, UnionType):
-        return any(_fits(value, one) for one in of)
+        return any(_fits(value, one) for one in args)
     if origin is Any or not isinstance(origin, type):
         return True
-    if origin is Callable or not issubclass(origin, Iterable) or not of:
+    if origin is Callable or not issubclass(origin, Iterable) or not args:
         return callable(value) if origin is Callable else isinstance(value, origin)
     if issubclass(origin, Mapping):
-        return isinstance(value, Mapping) and all(_fits(one, of[1]) for one in value.values())
+        return isinstance(value, Mapping) and all(_fits(one, args[1]) for one in value.values())
     if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
         return False
-    if issubclass(origin, tuple) and of[-1] is not Ellipsis:
-        return len(list(value)) == len(of) and all(map(_fits, value, of))
-    if not isinstance(value, Collection):  # a stream, which can be looked at once
+    if issubclass(origin, tuple) and args[-1] is not Ellipsis:
+        return len(list(value)) == len(args) and all(map(_fits, value, args))
+    if not isinstance(value, Collection):  # an iterator, which can be read only once
         return origin is Iterable
-    return all(_fits(one, of[0]) for one in value)
+    return all(_fits(one, args[0]) for one in value)
 
 
 def _in_words(hint: Any) -> Iterator[str]:
-    """The types that fit, in words."""
+    """Return the annotated types in words."""
     origin: Any = get_origin(hint) or hint
-    of = get_args(hint)
+    args = get_args(hint)
     if origin in _PLAIN:
         yield _PLAIN[origin][0]
     elif origin is Literal:
-        yield ", ".join(map(str, of))
+        yield ", ".join(map(str, args))
     elif origin is np.ndarray:
         yield "an array of numbers"
     elif origin in (Union, UnionType):
-        paths = any(get_origin(one) is os.PathLike for one in of)
-        for one in of:
-            yield from () if one is str and paths else _in_words(one)
-    elif of and issubclass(origin, Iterable) and not issubclass(origin, Mapping):
-        yield f"several, each {' or '.join(dict.fromkeys(_in_words(of[0])))}"
+        has_path = any(get_origin(one) is os.PathLike for one in args)
+        for one in args:
+            yield from () if one is str and has_path else _in_words(one)
+    elif args and issubclass(origin, Iterable) and not issubclass(origin, Mapping):
+        yield f"several, each {' or '.join(dict.fromkeys(_in_words(args[0])))}"
     else:
         yield {Mapping: "a mapping"}.get(origin, origin.__name__)

@@ -1,4 +1,4 @@
-"""Results that show themselves in a line: what would be thousands of numbers is its shape or its count."""
+"""Base classes of results with a short repr: arrays by their shape, collections by their size."""
 
 from __future__ import annotations
 
@@ -10,51 +10,53 @@ from typing import Any, Literal
 
 import numpy as np
 
-_LONGEST = 40
-"""Characters of a value that is shown as it is."""
+_LONGEST = 40  # characters of a value that is shown in full
 
 
 class Brief:
-    """A dataclass (`repr=False`) whose repr has a few words for each field."""
+    """Base of a dataclass (`repr=False`) whose repr is short."""
 
     __slots__ = ()
 
     def __repr__(self) -> str:
-        """The name of the class and its fields, in short."""
-        every = fields(self)  # type: ignore[arg-type]  # of the dataclass that has it
-        said = (f"{field.name}={_short(getattr(self, field.name))}" for field in every if field.repr)
-        return f"{type(self).__name__}({', '.join(said)})"
+        """Return the name of the class and its fields, shortened."""
+        shown = (f"{name}={_short(getattr(self, name))}" for name in self._shown_fields())
+        return f"{type(self).__name__}({', '.join(shown)})"
 
     def _repr_html_(self) -> str:
-        """The same as a table, as a notebook shows it."""
-        every = [field.name for field in fields(self) if field.repr]  # type: ignore[arg-type]
-        rows = (f"<tr><th>{name}</th><td>{escape(_short(getattr(self, name)))}</td></tr>" for name in every)
+        """Return the fields, shortened, as a table for a notebook."""
+        rows = (
+            f"<tr><th>{name}</th><td>{escape(_short(getattr(self, name)))}</td></tr>" for name in self._shown_fields()
+        )
         return f"<table><caption>{type(self).__name__}</caption>{''.join(rows)}</table>"
+
+    def _shown_fields(self) -> list[str]:
+        return [field.name for field in fields(self) if field.repr]  # type: ignore[arg-type]  # of a subclass
 
 
 def _short(value: Any) -> str:
-    """A value as it is where that is short, else what it is and how large."""
+    """Return the repr of a value if it is short, else its type and size."""
     if isinstance(value, np.ndarray):
         return f"array{value.shape}"
-    whole = "" if is_dataclass(value) or (isinstance(value, Sized) and len(value) > _LONGEST) else repr(value)
-    if whole and len(whole) <= _LONGEST and "\n" not in whole:
-        return whole
+    text = "" if is_dataclass(value) or (isinstance(value, Sized) and len(value) > _LONGEST) else repr(value)
+    if text and len(text) <= _LONGEST and "\n" not in text:
+        return text
     if isinstance(value, str):
         return repr(f"{value[: _LONGEST - 1]}…")
     return f"{len(value)} entries" if isinstance(value, tuple | list | dict | set) else f"<{type(value).__name__}>"
 
 
 class Judged(Brief):
-    """A result that answers a question: no if there are `reasons`, sentences, against it."""
+    """Base of a result that is negative if there are `reasons`, which are sentences."""
 
     __slots__ = ()
 
     @property
     @abstractmethod
     def reasons(self) -> tuple[str, ...]:
-        """Why the answer is no; empty if it is yes."""
+        """Reasons for a negative result; empty if it is positive."""
 
     @property
     def verdict(self) -> Literal["accepted", "not accepted"]:
-        """The answer in the words of a calibration's outcome."""
+        """Result in the words of the outcome of a calibration."""
         return "not accepted" if self.reasons else "accepted"

@@ -1,5 +1,8 @@
-"""The command line. Data to standard output, talk to standard error. Exit status 0 accepted, 1 not accepted (reasons
-on standard error), 2 unusable input or arguments, 70 an error of the program, 130 stopped."""
+"""The command line: data on standard output, messages on standard error.
+
+Exit status 0: accepted; 1: not accepted, with the reasons on standard error; 2: unusable input or arguments; 70: an
+error of the program; 130: stopped.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +26,14 @@ from tumble.errors import TumbleError
 from tumble.plugins import entry_points_of, load, package_of
 from tumble.program_errors import check_memory_limits, ended_by
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: threads would only wait for each other
-os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # which looks for them in all that is installed
-gc.set_threshold(200_000)  # objects, all in use, that a short command makes: searches for garbage among them find none
-atexit.register(gc.freeze)  # nor does a process that ends need one, which takes a fifth of a short command
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, threads only wait for each other
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # the search goes through all installed packages
+gc.set_threshold(200_000)  # a short command makes about as many objects, all in use
+atexit.register(gc.freeze)  # a last collection would take a fifth of the time of a short command
 
 
 class _Refused(click.ClickException):
-    """One line on standard error and exit status 2."""
+    """Error that is one line on standard error, with exit status 2."""
 
     exit_code = 2
 
@@ -40,7 +43,7 @@ class _Refused(click.ClickException):
 
 @contextmanager
 def _in_one_line() -> Iterator[None]:
-    """Errors of tumble, of arguments and of files, in one line."""
+    """Turn errors of tumble, of arguments and of files into one line."""
     try:
         yield
     except TumbleError as error:
@@ -53,7 +56,7 @@ def _in_one_line() -> Iterator[None]:
     except KeyboardInterrupt:
         click.echo("tumble: stopped", err=True)
         raise SystemExit(128 + signal.SIGINT) from None
-    except EOFError as error:  # which click would take for the end of what is typed, and end with the status 1
+    except EOFError as error:  # click would take it for the end of typed input, and exit with status 1
         raise RuntimeError("a file ended where more was expected") from error
     except OSError as error:
         if error.errno == errno.EPIPE:
@@ -61,8 +64,7 @@ def _in_one_line() -> Iterator[None]:
         raise _Refused(f"{error.filename or 'standard output'}: {error.strerror or error}") from error
 
 
-STUCK_SECONDS = 5.0
-"""How long a command may take to notice that it is to end."""
+STUCK_SECONDS = 5.0  # s, in which a command has to end after SIGTERM
 
 COMMANDS: Mapping[str, str] = {
     "Most used": (
@@ -73,22 +75,20 @@ COMMANDS: Mapping[str, str] = {
     "Of other recordings": "calibrate.ellipsoid recordings.noise",
     "Many at once": "many.campaign many.fleet",
 }
-"""The built-in commands by what they are for, in the order of the list, each as file.function of `commands/`."""
-
+"""Built-in commands by purpose, in the order of the help, each as file.function of `commands/`."""
 OWN_PLUGINS = "Laboratory and live page"
-"""Heading of the commands that `lab` and `bench` bring."""
-
+"""Heading of the commands of `lab` and `bench`."""
 _FILES = dict(place.split(".")[::-1] for group in COMMANDS.values() for place in group.split())
-"""The file of each built-in command."""
+"""File of each built-in command."""
 
 
 def first_sentence(docstring: str) -> str:
-    """What the list of commands says of one."""
+    """Return the summary of a command in the list of commands."""
     return " ".join(docstring.split("\n\n")[0].split()).partition(". ")[0].removesuffix(".") + "."
 
 
 class _Commands(click.Group):
-    """Commands whose errors are one line on standard error, with exit status 2; those of the program itself with 70."""
+    """Group of commands whose errors are one line on standard error: exit status 2, or 70 for errors of the program."""
 
     def __call__(self, *args: Any, **extra: Any) -> Any:
         try:
@@ -99,8 +99,7 @@ class _Commands(click.Group):
             raise SystemExit(ended_by(error)) from None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The commands by what they are for, each with its first sentence; those of other packages below the name of
-        the package."""
+        """Write the commands by purpose, each with its first sentence; those of other packages by package."""
         points = {name: point for name, point in entry_points_of("commands").items() if name not in _FILES}
         listed = {title: [place.partition(".")[2] for place in places.split()] for title, places in COMMANDS.items()}
         for name, point in points.items():
@@ -113,10 +112,9 @@ class _Commands(click.Group):
                     formatter.write_dl([(name, self._sentence(ctx, name)) for name in names])
 
     def _sentence(self, ctx: click.Context, name: str) -> str:
-        """The first sentence of the help of a command."""
         try:
             command = self.get_command(ctx, name)
-        except TumbleError:  # of a package that is broken or gone
+        except TumbleError:  # its package is broken or missing
             return "Cannot be imported."
         return first_sentence("" if command is None else command.help or "")
 
@@ -125,7 +123,7 @@ class _Commands(click.Group):
         return [*dict.fromkeys([*_FILES, *entry_points_of("commands")])]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """A command, imported when it is first asked for; None where there is none of this name."""
+        """Import and return a command; None if there is none of this name."""
         if cmd_name not in self.commands:
             command: click.Command | None
             try:
@@ -134,7 +132,7 @@ class _Commands(click.Group):
                 else:
                     command = load("commands", cmd_name, click.Command)
             except TumbleError:
-                if ctx.resilient_parsing:  # the shell completes what is typed
+                if ctx.resilient_parsing:  # completion by the shell
                     return None
                 raise
             if command is None:
@@ -157,20 +155,21 @@ class _Commands(click.Group):
 @click.option("-q", "--quiet", is_flag=True, help="Results, reasons and errors alone: no notes on standard error.")
 @click.version_option(__version__, prog_name="tumble")
 @click.pass_context
-def main(context: click.Context, quiet: bool) -> None:  # noqa: ARG001 (`tell` reads it)
+def main(context: click.Context, quiet: bool) -> None:  # noqa: ARG001 (`console` reads it)
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
     from tumble.recording.panic import COMMAND_LINE
 
     check_memory_limits()
-    context.call_on_close(_ended_in_order())
+    context.call_on_close(_handle_sigterm())
     context.call_on_close(partial(COMMAND_LINE.reset, COMMAND_LINE.set(True)))
     warnings.filterwarnings("ignore", message="(Duplicate|Unreadable) variable")  # of scipy, on a damaged MATLAB file
 
 
-def _ended_in_order() -> Callable[[], object]:
-    """Ends the command where the system asks it to (SIGTERM) as an error does: nothing half written is left. Where the
-    command does not get to it, as in a library whose threads wait for each other, it ends without that. Gives a
-    function that undoes this."""
+def _handle_sigterm() -> Callable[[], object]:
+    """Make SIGTERM end the command like an error, so that nothing half written is left.
+
+    A command that does not react within STUCK_SECONDS, as in a library whose threads wait for each other, is ended at
+    once. Return a function that restores the previous handling."""
     import socket
     import threading
 
@@ -181,21 +180,21 @@ def _ended_in_order() -> Callable[[], object]:
         raise SystemExit(128 + number)
 
     def end_if_stuck() -> None:
-        with heard:
-            while number := heard.recv(1):
-                asked = number[0] == signal.SIGTERM and signal.getsignal(signal.SIGTERM) is end
-                if asked and not ending.wait(STUCK_SECONDS):
+        with receiver:
+            while number := receiver.recv(1):
+                is_ours = number[0] == signal.SIGTERM and signal.getsignal(signal.SIGTERM) is end
+                if is_ours and not ending.wait(STUCK_SECONDS):
                     with suppress(OSError):
                         os.write(2, b"tumble: stopped\n")
                     os._exit(128 + signal.SIGTERM)
 
     if threading.current_thread() is not threading.main_thread():
         return lambda: None
-    heard, told = socket.socketpair()
-    told.setblocking(False)
+    receiver, sender = socket.socketpair()
+    sender.setblocking(False)
     undo = ExitStack()
-    undo.enter_context(told)
-    undo.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(told.fileno(), warn_on_full_buffer=False))
+    undo.enter_context(sender)
+    undo.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False))
     undo.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, end))
     threading.Thread(target=end_if_stuck, name="stuck", daemon=True).start()
     return undo.close

@@ -1,8 +1,7 @@
-"""TOML and JSON as users give them, results as JSON, and words of data as a message can show them.
+"""TOML and JSON documents of users, results as JSON, and values of documents in messages.
 
-What a parser says of a document becomes one line; so do numbers of thousands of digits and hundreds of brackets, which
-are no error of the syntax. No character that moves the cursor of a terminal or turns the direction of writing round is
-shown.
+Errors of a parser become one line, also for numbers of thousands of digits and deep nesting, which are no syntax
+errors. Characters that move the cursor of a terminal or change the direction of writing are not shown.
 """
 
 from __future__ import annotations
@@ -22,42 +21,36 @@ from tumble.errors import InputError, did_you_mean
 if TYPE_CHECKING:
     from pydantic import BaseModel, ValidationError
 
-# The parsers and pydantic are imported where they are used: the help of the command line needs none of them.
+# Parsers and pydantic are imported where they are used: the help of the command line does not need them.
 
 AS_PRINTED: Mapping[type, Callable[[Any], Any]] = {float: lambda number: number if math.isfinite(number) else None}
-"""What `--json` prints otherwise than as it is: a number that is not finite is null."""
-
-LARGEST_DOCUMENT = 1 << 26
-"""Bytes of a document that is read as a whole: 64 MB."""
-LONGEST_LINE = 1000
-"""Characters of a message."""
-
-_LONGEST_WORD = 160
-_LONGEST_KEY = 16
-"""Parts of a key of TOML, a.b.c: the memory and the time that a parser takes grow with their square."""
+"""Conversions for `--json`: a number that is not finite becomes null."""
+LARGEST_DOCUMENT = 1 << 26  # bytes, 64 MB
+LONGEST_LINE = 1000  # characters of a message
+_LONGEST_WORD = 160  # characters
+_LONGEST_KEY = 16  # parts of a TOML key a.b.c: time and memory of the parser grow with their square
 _LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_LONGEST_KEY}}}""")
 _BEYOND_MEASURE = "a number or a nesting without measure"
 _WORDS = re.compile(rf"\S{{{_LONGEST_WORD + 1},}}")
 _HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")
-_WIDTH = 60
-"""Of a value in a message, characters."""
+_WIDTH = 60  # characters of a value in a message
 _FAULTS_SHOWN = 3
 _LONGEST_PLACE = 80
 
 
 def whole_number(text: str) -> int | None:
-    """The number, from 0, that up to nine digits 0 to 9 say; None of anything else, "²" and 5,000 digits too."""
+    """Return the number of up to nine digits 0 to 9; None for any other text."""
     return int(text) if re.fullmatch("[0-9]{1,9}", text) else None
 
 
 def check_regular(path: Path) -> None:
-    """Raises InputError for what exists and is no file that ends: a device, a pipe or a socket; folders pass."""
+    """Raise InputError for a device, a pipe or a socket."""
     if path.exists() and not path.is_file() and not path.is_dir():
         raise InputError(f"{path}: expected a file, found a device or a pipe; copy what it gives into a file")
 
 
 def text_of_document(path: Path, error: type[InputError] = InputError) -> str:
-    """The text of a document. Raises an error of the class, one line, for one that cannot be read or is too large."""
+    """Return the text of a document. Raises an error of the class if it cannot be read or is too large."""
     if "\0" in str(path):
         raise error(f"{path}: expected the name of a file, found a null byte in it")
     check_regular(path)
@@ -75,7 +68,7 @@ def text_of_document(path: Path, error: type[InputError] = InputError) -> str:
 
 
 def toml_of(text: str, where: str, error: type[InputError] = InputError) -> dict[str, Any]:
-    """The tables of a TOML text, `where` in messages. Raises an error of the class, one line."""
+    """Return the tables of a TOML text, which messages call `where`. Raises an error of the class."""
     import tomllib
 
     if _LONG_KEY.search(text):
@@ -89,7 +82,7 @@ def toml_of(text: str, where: str, error: type[InputError] = InputError) -> dict
 
 
 def json_of(text: str) -> Any:
-    """The content of a JSON text. Raises ValueError, one line, also for NaN and infinity."""
+    """Return the content of a JSON text. Raises ValueError, one line, also for NaN and infinity."""
     import json
 
     try:
@@ -103,12 +96,12 @@ def json_of(text: str) -> Any:
 
 
 def as_json(part: Any, by_type: Mapping[type, Callable[[Any], Any]] = AS_PRINTED) -> Any:
-    """A result in the types that JSON has.
+    """Convert a result to the types of JSON.
 
     A dataclass becomes an object of its fields, or of the attributes and properties that its class attribute
-    `json_fields` names. A dataclass that has a length holds columns of this length and becomes a list of rows. Arrays
-    and tuples become lists, dates and times ISO 8601 strings, paths strings. `by_type` are functions for objects of
-    these very types, which replace these rules; by default a number that is not finite becomes null."""
+    `json_fields` names. A dataclass with a length holds columns of this length and becomes a list of rows. Arrays and
+    tuples become lists, dates and times ISO 8601 strings, and paths strings. `by_type` has functions for objects of
+    exactly these types, which replace these rules."""
     if type(part) in by_type:
         return by_type[type(part)](part)
     if hasattr(part, "tolist"):  # NumPy
@@ -135,7 +128,7 @@ def _no_number(name: str) -> NoReturn:
 
 
 def shown(value: object, width: int = _WIDTH) -> str:
-    """A value of a document as a message shows it: on one line, shortened."""
+    """Return a value of a document for a message, on one line and shortened."""
     if isinstance(value, dict | list):
         return "a table" if isinstance(value, dict) else f"a list of {len(value)}"
     if isinstance(value, int) and abs(value) > 10**width:
@@ -145,17 +138,17 @@ def shown(value: object, width: int = _WIDTH) -> str:
 
 
 def dotted(key: Iterable[int | str]) -> str:
-    """A key of a document as log.accel.unit; entries of lists are counted from 1: programme.position[2]."""
+    """Return a key of a document as log.accel.unit; entries of lists are counted from 1: programme.position[2]."""
     return "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in key).lstrip(".")
 
 
 def is_plain(text: str) -> bool:
-    """Whether all characters of a text are seen where they stand, and do nothing else."""
+    """Return True if a text has no control or formatting characters."""
     return text.isprintable() or not any(unicodedata.category(character) in _HIDDEN for character in text)
 
 
 def plain(text: str) -> str:
-    """A text as a terminal may show it: characters that do something are replaced by question marks; new lines stay."""
+    """Return a text with control and formatting characters, except new lines, replaced by question marks."""
     if text.isprintable():
         return text
     hidden = (character != "\n" and unicodedata.category(character) in _HIDDEN for character in text)
@@ -163,8 +156,7 @@ def plain(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """A message on one line that can be read: plain, words without end and what follows a thousand characters left
-    out."""
+    """Return a message on one line, plain and shortened to LONGEST_LINE characters."""
     line = plain(" ".join(text.split()))
     line = _WORDS.sub(lambda word: f"{word[0][:100]}…{word[0][-40:]}", line)
     return line if len(line) <= LONGEST_LINE else f"{line[: LONGEST_LINE - 1]}…"
@@ -177,15 +169,16 @@ _Model = TypeVar("_Model", bound="BaseModel")
 
 @cache
 def _expected() -> Mapping[str, str]:
-    """What is expected of a key whose field has no description, by the type of the fault."""
+    """Return what is expected of a key without description, by the type of the fault."""
     return toml_of(Path(__file__).with_name("expected.toml").read_text(encoding="utf-8"), "expected.toml")
 
 
 def validated(
     model: type[_Model], content: Mapping[str, Any], where: str = "", error: type[InputError] = InputError
 ) -> _Model:
-    """A document as a model describes it. Raises an error of the class, one line with up to three faults, each as
-    "key: expected …, found …"; `where` stands before them."""
+    """Validate a document by a model.
+
+    Raises an error of the class, one line with up to three faults "key: expected …, found …" after `where`."""
     from pydantic import ValidationError
 
     try:
@@ -193,19 +186,21 @@ def validated(
     except ValidationError as fault:
         faults = faults_of(fault, content, model)
     more = [f"and {len(faults) - _FAULTS_SHOWN} more"] if len(faults) > _FAULTS_SHOWN else []
-    said = "; ".join(faults[:_FAULTS_SHOWN] + more)
-    raise error(f"{where}: {said}" if where else said)
+    message = "; ".join(faults[:_FAULTS_SHOWN] + more)
+    raise error(f"{where}: {message}" if where else message)
 
 
 def faults_of(error: ValidationError, content: Any, model: type[Any]) -> list[str]:
-    """Every fault of a document once. What is expected of a key is the description of its field; where that has one,
-    it is named in place of the elements of its list."""
+    """Return every fault of a document once.
+
+    What is expected of a key is the description of its field; a list with a description is named instead of its
+    elements."""
     faults: dict[tuple[int | str, ...], str] = {}
     for fault in error.errors(include_url=False):
         kind, value, expected = fault["type"], content, ""
         key: tuple[int | str, ...] = ()
-        table: type[Any] = model  # the innermost one of the way, and the one behind its last key, if that is one
-        inner: type[Any] | None = model
+        table: type[Any] = model  # innermost table on the way to the key
+        inner: type[Any] | None = model  # table that the last key stands for, if any
         for part in fault["loc"]:
             if isinstance(part, int):
                 if (inner is None and expected) or not isinstance(value, list | tuple) or part >= len(value):
@@ -213,14 +208,14 @@ def faults_of(error: ValidationError, content: Any, model: type[Any]) -> list[st
                     break
                 key, value = (*key, part), value[part]
                 continue
-            known = isinstance(value, Mapping) and part in value
+            is_there = isinstance(value, Mapping) and part in value
             if inner is not None and part in (described := keys_of(inner)):
                 table, (annotation, expected) = inner, described[part]
                 inner = table_behind(annotation)
-            elif inner is not None or not (known or kind == "missing"):  # an unknown key, or the choice of a union
+            elif inner is not None or not (is_there or kind == "missing"):  # an unknown key, or the choice of a union
                 value = key[-1] if part == "[key]" else value
                 break
-            key, value = (*key, part), value[part] if known else None
+            key, value = (*key, part), value[part] if is_there else None
         place = dotted(key)[:_LONGEST_PLACE]
         if kind == "extra_forbidden":
             unknown = str(fault["loc"][-1])
@@ -228,9 +223,9 @@ def faults_of(error: ValidationError, content: Any, model: type[Any]) -> list[st
             hint = did_you_mean(unknown, keys_of(inner or table))
             faults[(*key, unknown)] = f"unknown key '{unknown}' {where}{hint}"
         elif kind == "value_error":
-            said = str(fault["ctx"]["error"])  # of a table it may begin with one of its keys
-            separator = "" if not key else ": " if inner is None or said.startswith("expected") else "."
-            faults[key] = f"{place}{separator}{said}"
+            message = str(fault["ctx"]["error"])  # for a table it may begin with one of its keys
+            separator = "" if not key else ": " if inner is None or message.startswith("expected") else "."
+            faults[key] = f"{place}{separator}{message}"
         else:
             expected = expected or _expected().get(kind) or fault.get("ctx", {}).get("expected") or fault["msg"]
             found = "none" if kind == "missing" else as_written(value)
@@ -239,7 +234,7 @@ def faults_of(error: ValidationError, content: Any, model: type[Any]) -> list[st
 
 
 def keys_of(table: type[Any]) -> dict[str, tuple[Any, str]]:
-    """The keys of a model or a dataclass that describes a table: their types, and what is expected of them."""
+    """Return the keys of a model or dataclass, with their types and descriptions."""
     if is_dataclass(table):
         hints = get_type_hints(table, include_extras=True)
         aliases = {n: next((a.alias for a in get_args(h) if getattr(a, "alias", None)), n) for n, h in hints.items()}
@@ -248,19 +243,19 @@ def keys_of(table: type[Any]) -> dict[str, tuple[Any, str]]:
 
 
 def table_behind(annotation: Any) -> type[Any] | None:
-    """The model or dataclass that the values of a key are, or are lists of, or stand as; None where they are none."""
+    """Return the model or dataclass of the values of a key, or of their elements; None if there is none."""
     from pydantic import BaseModel
 
     annotation = getattr(annotation, "table", annotation)
     if isinstance(annotation, type) and (issubclass(annotation, BaseModel) or is_dataclass(annotation)):
         return annotation
-    stands_as = [part for part in get_args(annotation) if hasattr(part, "table")]
-    parts = stands_as or (() if get_origin(annotation) is Mapping else get_args(annotation))
+    annotated = [part for part in get_args(annotation) if hasattr(part, "table")]
+    parts = annotated or (() if get_origin(annotation) is Mapping else get_args(annotation))
     return next((table for part in parts if (table := table_behind(part)) is not None), None)
 
 
 def as_written(value: Any) -> str:
-    """A value as TOML has it, on one line, shortened."""
+    """Return a value as written in TOML, on one line and shortened."""
     import json
 
     if isinstance(value, Mapping):

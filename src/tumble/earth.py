@@ -1,4 +1,4 @@
-"""Gravity and the Earth's rotation at a site: the two standards of a turntable.
+"""Normal gravity and the Earth's rotation at a site.
 
 Source: WGS-84 (NIMA TR8350.2, 3rd edition): Somigliana's closed formula on the ellipsoid, eq. (4-1), and the
 second-order expansion in height, eq. (4-3).
@@ -23,15 +23,15 @@ _GRAVITY_POLE = 9.8321849378
 _ECCENTRICITY_2 = _FLATTENING * (2.0 - _FLATTENING)
 
 NORMAL_GRAVITY_U = 3e-4
-"""Standard uncertainty of normal gravity as a value of local gravity, m/s²: gravity anomalies."""
+"""Standard uncertainty of normal gravity as local gravity, m/s², by gravity anomalies."""
 
 
 @checked
 def normal_gravity(latitude: float, height: float) -> float:
-    """Normal gravity, m/s², at a geodetic latitude (rad) and a height over the ellipsoid (m).
+    """Return normal gravity, m/s², at a geodetic latitude (rad) and a height over the ellipsoid (m).
 
     Within 20 ng of the closed form up to 2 km. Source: TR8350.2 (4-1), (4-3). Raises InputError for a latitude beyond
-    the poles, as degrees are.
+    the poles, such as one in degrees.
 
     >>> import tumble
     >>> round(tumble.normal_gravity(0.992, 270.0), 5)
@@ -52,5 +52,5 @@ def normal_gravity(latitude: float, height: float) -> float:
 
 
 def earth_rate(latitude: float) -> tuple[float, float, float]:
-    """Earth's rotation in geographic axes N, U, E, rad/s: (Ω cos B, Ω sin B, 0)."""
+    """Return the Earth's rotation in geographic axes N, U, E, rad/s: (Ω cos B, Ω sin B, 0)."""
     return EARTH_RATE * math.cos(latitude), EARTH_RATE * math.sin(latitude), 0.0

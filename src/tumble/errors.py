@@ -9,9 +9,9 @@
     │   └── CalibrationError  a calibration file
     └── MissingExtraError     an optional dependency that is not installed
 
-A message is one line: where it is, what was expected, what was found, what to do. It names arguments as options of the
-command line, `--gravity-u`, which says them so; to who calls the library it says `gravity_u`.
-A poor result is not an exception: it is an `Estimate` whose outcome gives the reasons.
+A message is one line: the place, what was expected, what was found, what to do. It names arguments as options of the
+command line, `--gravity-u`; for users of the library `str()` shows `gravity_u`. A poor result is no exception: it is an
+`Estimate` whose outcome gives the reasons.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ _OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
 
 
 class TumbleError(Exception):
-    """Anything tumble raises on purpose. `str()` is one line for the user of the library."""
+    """Base of all errors that tumble raises on purpose."""
 
     def __str__(self) -> str:
-        """The message, in which options are arguments."""
+        """Return the message with options named as arguments."""
         return _OPTION.sub(lambda option: option[1].replace("-", "_"), self.for_command_line)
 
     @property
     def for_command_line(self) -> str:
-        """The message, in which arguments are options."""
+        """Message with arguments named as options."""
         return super().__str__()
 
 
 class InputError(TumbleError):
-    """What was given cannot be used."""
+    """The input cannot be used."""
 
 
 class GyrosAloneError(InputError):
@@ -66,8 +66,9 @@ class MissingExtraError(TumbleError):
 
 @contextmanager
 def needs_extra(what: str, extra: str, *libraries: str) -> Iterator[None]:
-    """Around the imports of `what`, singular: where one of the libraries is missing, MissingExtraError with the extra
-    of tumble that brings it."""
+    """Raise MissingExtraError if one of the libraries imported in the block is missing.
+
+    The message names `what` needs it, in the singular, and the extra of tumble that installs it."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -81,7 +82,7 @@ def needs_extra(what: str, extra: str, *libraries: str) -> Iterator[None]:
 
 
 def did_you_mean(name: str, known: Iterable[str], *, alike: float = 0.6) -> str:
-    """The end of a message about a name that is not known: which one may be meant, nothing where none is `alike`."""
+    """Return the end of a message about an unknown name: the known name that may be meant, or nothing."""
     from difflib import get_close_matches
 
     near = get_close_matches(name, list(known), n=1, cutoff=alike)

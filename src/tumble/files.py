@@ -1,4 +1,4 @@
-"""Paths as callers give them, and files that are written whole or not at all."""
+"""Files that are written whole or not at all."""
 
 from __future__ import annotations
 
@@ -13,16 +13,15 @@ from pathlib import Path
 from tumble.errors import InputError
 
 FilePath = str | os.PathLike[str]
-"""What every public function takes as the path of a file or folder."""
+"""Path of a file or folder, as public functions take it."""
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """A temporary file beside `path`, of the same ending, which becomes `path` when the block ends without an error: a
-    reader sees the old file or the new one.
+    """Yield a temporary file beside `path` that replaces it when the block ends without an error.
 
-    Raises OSError that names `path` for a folder that is not there or cannot be written to, and for a disk that is
-    full, also where a library says so in words of its own."""
+    Raises OSError that names `path` for a missing or read-only folder and for a full disk, also if a library reports
+    these in an exception of its own."""
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "is no file that could be replaced", str(path))
     if not path.parent.exists():
@@ -41,13 +40,14 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def _errors_of(path: Path, temporary: Path) -> Iterator[None]:
-    """Errors of writing as OSError that names the file that was asked for. Those of other files stay."""
+    """Turn errors of writing the temporary file into OSError that names `path`."""
     try:
         yield
     except OSError as error:
         if error.filename is not None and Path(os.fsdecode(error.filename)) != temporary:
             raise
-        raise OSError(error.errno, _said(error), str(path)) from None
+        message = os.strerror(error.errno) if error.errno else str(error)
+        raise OSError(error.errno, message, str(path)) from None
     except Exception as error:
         number = _NUMBER.search(str(error))
         if number is None:
@@ -55,16 +55,11 @@ def _errors_of(path: Path, temporary: Path) -> Iterator[None]:
         raise OSError(int(number[1]), os.strerror(int(number[1])), str(path)) from None
 
 
-_NUMBER = re.compile(r"\(os error (\d+)\)")
-"""What libraries written in Rust say of an error of the system."""
-
-
-def _said(error: OSError) -> str:
-    return os.strerror(error.errno) if error.errno else str(error)
+_NUMBER = re.compile(r"\(os error (\d+)\)")  # in messages of libraries written in Rust
 
 
 def ending_in(path: Path, *endings: str) -> str:
-    """The ending of a file that is to be written, in small letters. Raises InputError for another than these."""
+    """Return the ending of a file in lower case. Raises InputError if it is none of these."""
     ending, (*others, last) = path.suffix.lower(), endings
     if ending not in endings:
         found, expected = path.suffix or "no ending", f"{', '.join(others)} or {last}" if others else last
@@ -73,13 +68,12 @@ def ending_in(path: Path, *endings: str) -> str:
 
 
 def plain_name(word: str) -> str:
-    """A word as a part of the name of a file."""
+    """Return a word with the characters that a file name may have."""
     return re.sub(r"\W+", "-", word).strip("-")[:40] or "unnamed"
 
 
 class OutputFolder:
-    """A folder that new files are written into, each by `whole_file`. It is made with the first of them, and none
-    replaces another."""
+    """A folder for new files, which is made with the first of them; none replaces another."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -87,10 +81,9 @@ class OutputFolder:
         self._there = path.exists()
 
     def new_file(self, name: str) -> Path:
-        """The path of a file that is to be written: of this name, with a number behind its stem where there was one
-        already.
+        """Return the path of a new file of this name, with a number after its stem if the name is taken.
 
-        Raises FileExistsError for a folder that another process has made meanwhile."""
+        Raises FileExistsError if another process has made the folder meanwhile."""
         self.path.mkdir(parents=True, exist_ok=self._there)
         self._there = True
         taken = {path.name.casefold() for path in self.written}
@@ -105,8 +98,8 @@ class OutputFolder:
 
 @contextmanager
 def nothing_left(folder: Path) -> Iterator[OutputFolder]:
-    """Where the block fails, none of its new files is left in the folder, nor the folder if it was made for them and
-    nobody else has written into it."""
+    """Yield the folder for new files; if the block fails they are removed, and the folder if it was made and is
+    empty."""
     absent = [place for place in (folder, *folder.parents) if not place.exists()]
     output = OutputFolder(folder)
     try:

@@ -1,5 +1,4 @@
-"""Public names that are imported when they are first used, by the stub of their module, which type checkers read: the
-command line starts without NumPy."""
+"""Public names that are imported when they are first used, so that the command line starts without NumPy."""
 
 from __future__ import annotations
 
@@ -11,7 +10,7 @@ from typing import Any
 
 
 def names_of(module: str, file: str) -> tuple[list[str], Callable[[str], Any]]:
-    """The names of a module, by the stub beside its file, and its `__getattr__`."""
+    """Return the names in the stub file of a module, which type checkers read too, and its `__getattr__`."""
     text = Path(file).with_suffix(".pyi").read_text(encoding="utf-8")
     places = {name: place for place, name in re.findall(r"^from (tumble\.\S+) import (\w+) as \2$", text, re.M)}
 

@@ -1,16 +1,16 @@
-"""What other packages bring to tumble, by the entry points that they declare.
+"""Extensions by other packages, found by their entry points.
 
-    group                 what an entry point names
+    group                 object of an entry point
     tumble.commands       a command of click
     tumble.exports        a function of a calibration, or the path of a template (`tumble.export`)
     tumble.readers        a `Reader` of recordings (`tumble.recording.formats`)
     tumble.programmes     the attitude codes of the positions in order (`tumble.programme.positions`)
     tumble.parameters     a `ParameterGroup` (`tumble.sensors.parameters`)
-    tumble.knowledge      a context manager that opens a `Knowledge` at a place (`tumble.commands.ask`)
+    tumble.knowledge      a context manager that opens a `Knowledge` at a place (`tumble.commands.params`)
     tumble.reports        a function that writes a report of calibrations by a file of its own: limits, certificate
 
-What tumble has under a name of its own comes first. Entry points are looked up only for other names, and where a list
-is asked for; an object is imported when it is used. `lab` and `bench` bring their commands and exports in this way too.
+Built-in names come first. Entry points are looked up only for other names and for lists; an object is imported when it
+is used. `lab` and `bench` also add their commands and exports in this way.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 @cache
 def entry_points_of(kind: Kind) -> dict[str, EntryPoint]:
-    """The entry points of a group by name, in the order of their packages' names."""
+    """Return the entry points of a group by name, in the order of their packages' names."""
     from importlib.metadata import entry_points
 
     found = entry_points(group=f"tumble.{kind}")
@@ -37,14 +37,15 @@ def entry_points_of(kind: Kind) -> dict[str, EntryPoint]:
 
 
 def package_of(point: EntryPoint) -> str:
-    """The name of the package that declares an entry point."""
+    """Return the name of the package that declares an entry point."""
     return point.dist.name if point.dist is not None else point.module.partition(".")[0]
 
 
 def load(kind: Kind, name: str, expected: type[T] | tuple[type[T], ...]) -> T | None:
-    """Import the object that an entry point of a group, without "tumble.", names; None where no package declares the
-    name. Raises InputError, one line that names the package, where the object cannot be imported or is not of an
-    `expected` type."""
+    """Import the object of an entry point; None if no package declares the name.
+
+    `kind` is the group without "tumble.". Raises InputError, which names the package, if the object cannot be imported
+    or is not of an `expected` type."""
     point = entry_points_of(kind).get(name)
     if point is None:
         return None

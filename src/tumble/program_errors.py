@@ -1,6 +1,6 @@
-"""How a command ends that the program itself has failed: one line, the traceback in a file, a status of its own.
+"""End of a command by an error of the program: one line, the traceback in a file, and an exit status of its own.
 
-It imports nothing that takes time or memory, for it also speaks for a start that failed.
+The module also handles a failed start, and imports nothing that takes time or memory.
 """
 
 from __future__ import annotations
@@ -8,34 +8,31 @@ from __future__ import annotations
 import os
 import sys
 
-PROGRAM_ERROR = 70
-"""Exit status of an error of the program: a crash is no verdict."""
-STOPPED = 130
-"""Exit status of a command that the user has stopped (Ctrl-C)."""
+PROGRAM_ERROR = 70  # exit status of an error of the program
+STOPPED = 130  # exit status of a command that the user has stopped (Ctrl-C)
 
 
 def ended_by(error: BaseException) -> int:
-    """Say in one line on standard error what has ended a command; the exit status."""
+    """Print in one line on standard error what has ended a command, and return the exit status."""
     if isinstance(error, KeyboardInterrupt):
         print("tumble: stopped", file=sys.stderr)  # noqa: T201
         return STOPPED
     if isinstance(error, MemoryError) or (isinstance(error, ImportError) and "failed to map segment" in str(error)):
-        said = f"the memory does not suffice: {error}; {_kept(error)}"
+        message = f"the memory does not suffice: {error}; {_kept(error)}"
     else:
-        said = f"an error of the program: {type(error).__name__}: {error}; please report it: {_kept(error)}"
-    print(f"tumble: {' '.join(said.split())}", file=sys.stderr)  # noqa: T201
+        message = f"an error of the program: {type(error).__name__}: {error}; please report it: {_kept(error)}"
+    print(f"tumble: {' '.join(message.split())}", file=sys.stderr)  # noqa: T201
     return PROGRAM_ERROR
 
 
 LEAST_MEMORY = {"RLIMIT_AS": (1.6e9, "v"), "RLIMIT_DATA": (0.5e9, "d")}
 """Bytes of address space and of data, with the option of `ulimit` for each. Reading a recording of 3 MB maps 1.59 GB,
-0.41 GB of it data and 0.2 GB used, with one thread of polars, and 5 MB of each for every thread more. Where they cannot
-be had, polars aborts the process or waits for ever, and so may what draws the pictures."""
+0.41 GB of it data and 0.2 GB used, with one thread of polars, and 5 MB of each for every further thread. With less,
+polars or matplotlib may abort the process or wait for ever."""
 
 
 def check_memory_limits() -> None:
-    """Raise MemoryError where the process may not map what libraries do that read recordings and draw. Where there is
-    a limit, polars uses one thread."""
+    """Raise MemoryError if the limits of the process are below LEAST_MEMORY; under a limit polars uses one thread."""
     try:
         import resource
     except ImportError:  # on Windows there is no such limit
@@ -53,7 +50,7 @@ def check_memory_limits() -> None:
 
 
 def _kept(error: BaseException) -> str:
-    """Where the traceback is kept."""
+    """Write the traceback to a file, and return a sentence with its path."""
     import platform
     import tempfile
     import traceback

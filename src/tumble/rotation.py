@@ -12,28 +12,29 @@ import numpy as np
 from tumble.units import Array
 
 UP = np.array([0.0, 1.0, 0.0])
-"""The unit vertical in geographic axes N, U, E."""
+"""Unit vertical in geographic axes N, U, E."""
 
 
 def unit_vector(vectors: Array) -> Array:
-    """Vectors (..., 3) divided by their lengths: of specific forces at rest the vertical."""
+    """Return vectors (..., 3) divided by their lengths."""
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def onto_body(axes: Array) -> Array:
-    """Matrix (3, n) that takes readings along n sensing axes (n, 3) to the vector in the body, by least squares."""
+    """Return the matrix (3, n) that takes readings along n sensing axes (n, 3) to the vector, by least squares."""
     return left_inverse(np.asarray(axes, dtype=float))
 
 
 def left_inverse(matrix: Array) -> Array:
-    """Matrix (..., 3, n) that takes readings less biases to the vector in the body, by least squares, for sensitivities
-    (..., n, 3). Raises LinAlgError if those of a triad are in one plane."""
+    """Return the matrix (..., 3, n) that takes readings to the vector, by least squares, for sensitivities (..., n, 3).
+
+    Raises LinAlgError if those of a triad are in one plane."""
     square = matrix.shape[-2] == matrix.shape[-1]
     return np.asarray(np.linalg.inv(matrix) if square else np.linalg.pinv(matrix), dtype=float)
 
 
 def skew(vector: Array) -> Array:
-    """[v×], shape (..., 3, 3): skew(v) @ w = v × w."""
+    """Return [v×], shape (..., 3, 3): skew(v) @ w = v × w."""
     v = np.asarray(vector, dtype=float)
     out = np.zeros((*v.shape[:-1], 3, 3))
     out[..., 2, 1] = v[..., 0]
@@ -43,7 +44,7 @@ def skew(vector: Array) -> Array:
 
 
 def rotation_matrix(vector: Array) -> Array:
-    """exp([v×]), shape (..., 3, 3), of a rotation vector in rad (Rodrigues), exact at zero."""
+    """Return exp([v×]), shape (..., 3, 3), of a rotation vector in rad (Rodrigues), exact at zero."""
     v = np.asarray(vector, dtype=float)
     angle = np.linalg.norm(v, axis=-1)[..., None, None]
     K = skew(v)
@@ -53,8 +54,9 @@ def rotation_matrix(vector: Array) -> Array:
 
 
 def rotation_vector(matrix: Array) -> Array:
-    """Rotation vectors (..., 3), rad, up to π, of rotation matrices (..., 3, 3): `rotation_matrix` inverted, accurate
-    everywhere, by way of the quaternion from the largest column of 4qqᵀ."""
+    """Return the rotation vectors (..., 3), rad, up to π, of rotation matrices (..., 3, 3).
+
+    They are accurate everywhere, by way of the quaternion from the largest column of 4qqᵀ."""
     R = np.asarray(matrix, dtype=float)
     trace = np.trace(R, axis1=-2, axis2=-1)[..., None, None]
     vee = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
@@ -72,8 +74,7 @@ def rotation_vector(matrix: Array) -> Array:
 
 
 def rotation_vector_near(matrix: Array, nominal: Array) -> Array:
-    """Rotation vectors (..., 3), rad, up to 2π, of rotation matrices (..., 3, 3): of the two ways round the one nearer
-    to the nominal turns (..., 3), given as rotation vectors."""
+    """Return the rotation vectors (..., 3), rad, up to 2π, that are nearest to nominal ones (..., 3)."""
     v = rotation_vector(matrix)
     angle = np.linalg.norm(v, axis=-1, keepdims=True)
     other = v * (1.0 - 2.0 * np.pi / np.where(angle > 0.0, angle, np.inf))
@@ -82,10 +83,10 @@ def rotation_vector_near(matrix: Array, nominal: Array) -> Array:
 
 
 def axes_matrix(xy: float, xz: float, yx: float, yz: float, zx: float, zy: float) -> Array:
-    """Directions of three nearly orthogonal sensing axes in the body frame as unit rows, Eq. (1).
+    """Return three nearly orthogonal sensing axes in the body frame as unit rows, Eq. (1).
 
-    Each angle γ_pq (rad) is how far the axis of sensor p leans towards body axis q. Angles that are arrays of one shape
-    (...) give (3, 3, ...)."""
+    The angle γ_pq (rad) is that by which the axis of sensor p leans towards body axis q. Angles of the shape (...) give
+    (3, 3, ...)."""
     cos, sin = (math.cos, math.sin) if isinstance(xy, float) else (np.cos, np.sin)
     return np.array(
         [
@@ -97,7 +98,8 @@ def axes_matrix(xy: float, xz: float, yx: float, yz: float, zx: float, zy: float
 
 
 def axes_angles(axes: Array) -> Array:
-    """The six angles (xy, xz, yx, yz, zx, zy), rad, of three sensing axes given as unit rows: Eq. (1) inverted."""
+    """Return the six angles (xy, xz, yx, yz, zx, zy), rad, of three sensing axes given as unit rows: Eq. (1)
+    inverted."""
     a = axes
     return np.array(
         [
@@ -112,7 +114,7 @@ def axes_angles(axes: Array) -> Array:
 
 
 def tangent_basis(unit: Array) -> Array:
-    """Two unit vectors orthogonal to each unit vector and to each other, shape (..., 2, 3)."""
+    """Return two unit vectors (..., 2, 3) orthogonal to each unit vector (..., 3) and to each other."""
     u = np.asarray(unit, dtype=float)
     across = skew(u)  # its columns are u × e_k
     first = np.take_along_axis(across, np.argmin(np.abs(u), axis=-1)[..., None, None], axis=-1)

@@ -1,4 +1,4 @@
-"""Types of the arguments, fields and results of the public names, for annotations: `from tumble.types import Site`."""
+"""Types of the arguments, fields and results of public functions, for annotations: `from tumble.types import Site`."""
 
 from __future__ import annotations
 

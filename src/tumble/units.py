@@ -1,8 +1,6 @@
-"""Units at the edges, SI and radians inside; constants with their source.
+"""Units of logs and of results; inside tumble all quantities are in m, s, rad, K and their products.
 
-Nothing inside tumble carries another unit than m, s, rad, K and their products. `ACCEL_UNITS`,
-`GYRO_UNITS` and `TIME_UNITS` say what a log's numbers are worth when they enter; the functions
-`engineering` and `rounded` say how a value is shown when it leaves.
+`ACCEL_UNITS`, `GYRO_UNITS` and `TIME_UNITS` convert the numbers of a log; `engineering` and `rounded` format results.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 
 G_STANDARD = 9.80665
-"""Standard acceleration of free fall, m/s², exact (CGPM 1901). The unit g; never a site's gravity."""
+"""Standard acceleration of free fall, m/s², exact (CGPM 1901): the unit g, never the gravity of a site."""
 
 DEGREE = math.pi / 180.0
 ARCSEC = DEGREE / 3600.0
@@ -35,14 +33,14 @@ Kind = Literal["rate", "increment", "raw"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Unit:
-    """What one unit of a log's numbers is worth: `factor` in SI, and whether it is a rate (m/s², rad/s),
-    an increment per sample (m/s, rad) or a raw number that needs a scale and an offset."""
+    """Unit of a log's numbers: its `factor` in SI, and whether it is a rate (m/s², rad/s), an increment per sample
+    (m/s, rad) or a raw number that needs a scale and an offset."""
 
     factor: float
     kind: Kind
 
     def per_second(self, rate: float) -> float:
-        """What a number is worth as a mean rate (m/s², rad/s) over a sample at `rate` samples per second."""
+        """Return the factor to the mean rate (m/s², rad/s) over a sample, at `rate` samples per second."""
         return self.factor * (rate if self.kind == "increment" else 1.0)
 
 
@@ -70,17 +68,16 @@ GYRO_UNITS = {
     "V": Unit(factor=1.0, kind="raw"),
 }
 
-UNIT_TOLERANCE = 0.25
-"""Readings may be off by this part before their unit or scale is doubted: biases and scale errors are less."""
+UNIT_TOLERANCE = 0.25  # relative error of readings, above which their unit is doubted; biases and scale errors are less
 
 
 def is_near_one(ratios: npt.ArrayLike) -> bool:
-    """Whether all of these are one, to UNIT_TOLERANCE."""
+    """Return True if all ratios are one, to UNIT_TOLERANCE."""
     return bool(np.all(np.abs(np.asarray(ratios) - 1.0) <= UNIT_TOLERANCE))
 
 
 def fitting_units(read: npt.ArrayLike, sizes: Mapping[str, float]) -> list[str]:
-    """Those units, by their sizes, in which what is read for one of SI would be just that, to UNIT_TOLERANCE.
+    """Return the units in which readings of a quantity of 1 SI would be right, to UNIT_TOLERANCE.
 
     >>> fitting_units(1.02 / 9.81, {name: unit.factor for name, unit in ACCEL_UNITS.items()})
     ['g']
@@ -89,12 +86,12 @@ def fitting_units(read: npt.ArrayLike, sizes: Mapping[str, float]) -> list[str]:
 
 
 TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4, "mgauss": 1e-7, "T": 1.0}
-"""1 of each unit of a magnetic field, T."""
+"""Units of a magnetic field, T."""
 MAGNETIC_UNITS = tuple(TESLA)
-"""Units of a magnetometer. Nothing else is measured in them, so that they are not converted."""
+"""Units of a magnetometer. They are not converted, since nothing else is measured in them."""
 
 TEMPERATURE_UNITS = {"degC": (1.0, 0.0), "K": (1.0, -ZERO_CELSIUS), "degF": (5.0 / 9.0, -160.0 / 9.0)}
-"""What a log's temperature is in °C: gain · number + shift. A raw one has a scale, numbers per °C, and an offset."""
+"""Gain and shift to °C: gain · number + shift."""
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 
@@ -109,22 +106,18 @@ _SHOWN: dict[str, tuple[tuple[float, str], ...]] = {
 
 
 def engineering(unit: str, magnitude: float) -> tuple[float, str]:
-    """The unit in which a quantity of SI unit `unit` ("m/s^2", "1", "rad", "rad/s") and this magnitude is
-    shown, as (its size in SI, its name): µg or mg, ppm, arcsec or mrad, °/h or °/s.
+    """Return the unit, as (size in SI, name), in which a quantity of this SI unit and magnitude is shown.
 
-    The larger unit is taken where the magnitude is at least one of it (for angles 0.5 mrad, about 100″). A quantity of
-    any other unit is shown in it."""
+    It is µg or mg, ppm, arcsec or mrad, °/h or °/s: the larger one if the magnitude is at least one of it (0.5 mrad for
+    angles). Quantities of other units than m/s^2, 1, rad and rad/s are shown in these."""
     return coarsest(_SHOWN.get(unit, ((1.0, unit),)), magnitude, limit=0.5 if unit == "rad" else 1.0)
 
 
 def coarsest(candidates: Sequence[tuple[float, str]], magnitude: float, *, limit: float = 1.0) -> tuple[float, str]:
-    """The largest of units (size in SI, name), the smallest first, of which a magnitude is at least `limit`; the
-    smallest where it is less than that of all others."""
-    shown = candidates[0]
-    for size, name in candidates[1:]:
-        if abs(magnitude) >= limit * size:
-            shown = (size, name)
-    return shown
+    """Return the largest unit (size in SI, name), of candidates from the smallest on, of which a magnitude is at least
+    `limit`; else the smallest."""
+    fitting = [unit for unit in candidates if abs(magnitude) >= limit * unit[0]]
+    return (candidates[0], *fitting)[-1]
 
 
 READ: dict[str, dict[str, float]] = {
@@ -133,12 +126,13 @@ READ: dict[str, dict[str, float]] = {
     "rad": {"rad": 1.0, "mrad": 1e-3, "deg": DEGREE, "arcsec": ARCSEC, '"': ARCSEC},
     "rad/s": {"rad/s": 1.0, "deg/s": DEGREE, "deg/h": DEGREE_PER_HOUR},
 }
-"""By SI unit, the units that quantities may be typed in, SI."""
+"""By SI unit, the units in which quantities may be typed."""
 
 
 def quantity(text: str, units: Mapping[str, float]) -> float:
-    """SI value of a text such as "3.5ppm" or "20 µg/g²". Raises ValueError, one line, for anything but a number and one
-    of these units, as `as_typed` writes them."""
+    """Return the SI value of a text such as "3.5ppm" or "20 µg/g²".
+
+    Raises ValueError for anything but a number and one of these units, as `as_typed` writes them."""
     number = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
     unit = as_typed(text[number.end() :].strip()) if number else ""
     if number is None or unit not in units:
@@ -147,19 +141,19 @@ def quantity(text: str, units: Mapping[str, float]) -> float:
 
 
 def as_typed(unit: str) -> str:
-    """A unit as it is typed: ug/g^2 for µg/g², deg/s/g for °/s/g, mg/K for mg/°C."""
+    """Return a unit as it is typed: ug/g^2 for µg/g², deg/s/g for °/s/g, mg/K for mg/°C."""
     for shown, typed in (("/°C", "/K"), ("µ", "u"), ("²", "^2"), ("³", "^3"), ("°", "deg")):
         unit = unit.replace(shown, typed)
     return unit
 
 
 def two_digits(value: float) -> str:
-    """A positive number to two significant digits, 3.0 and not 3, without an exponent."""
+    """Return a positive number with two significant digits, 3.0 and not 3, without an exponent."""
     return rounded(value, value)[1]
 
 
 def rounded(value: float, u: float) -> tuple[str, str]:
-    """`value` and its uncertainty as text, both to the second significant digit of the uncertainty."""
+    """Return a value and its uncertainty as text, to the second significant digit of the uncertainty."""
     if not (math.isfinite(u) and u > 0.0):
         return f"{value:.6g}", "0" if u == 0.0 else str(u)
     digits = 1 - math.floor(math.log10(u))

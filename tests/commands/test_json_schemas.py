@@ -31,7 +31,6 @@ WORDS = (
     "ellipsoid {}/readings.csv --unit m/s^2 --json",
     "inspect {}/one --json",
     "noise {}/one --json",
-    "check {}/one.json {}/one --json",
     "check {}/one.json {}/two --json",
     "check {}/one.json {}/readings.csv --json",
     "check {}/one.json --listen replay:{}/two@max --json",

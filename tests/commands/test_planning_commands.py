@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tumble.cli import main
-from tumble.commands.tell import working
+from tumble.commands.console import working
 from tumble.units import ARCSEC, DEGREE_PER_HOUR, G_STANDARD, READ, quantity
 
 

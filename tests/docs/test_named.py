@@ -19,7 +19,7 @@ from docs.made import walk
 from tests.docs.test_docs import pages
 from tests.support import ROOT
 from tumble.cli import main
-from tumble.commands.ask import METHOD_NAMES
+from tumble.commands.params import METHOD_NAMES
 from tumble.plugins import Kind
 
 PAGES = [page for page in pages() if page.stem != "CHANGELOG"]  # what was, is in the changelog

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
+from click.testing import CliRunner
 
 from tests.support.shared import session
+from tumble.cli import main
 from tumble.drafting.new_session import Given, new_session
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
@@ -107,3 +109,14 @@ def test_what_names_say_is_no_accelerometer_is_refused(names: str, said: str, tm
     log = text(tmp_path / "log.csv", f"{names}\n", np.column_stack([0.1 * np.arange(600), read]))
     with pytest.raises(InputError, match=said):
         new_session(tmp_path / "s", log)
+
+
+@pytest.mark.parametrize("command", ["calibrate", "inspect", "noise"])
+def test_a_magnetometer_alone_ends_with_one_line_and_the_next_step(command: str, tmp_path: Path) -> None:
+    field = np.random.default_rng(4).normal(loc=[20.0, 0.0, -40.0], scale=0.3, size=(600, 3))
+    log = text(tmp_path / "mag.csv", "t,mag_x,mag_y,mag_z\n", np.column_stack([0.1 * np.arange(600), field]))
+    done = CliRunner().invoke(main, [command, str(log)])
+    assert done.exit_code == 2
+    assert done.stderr.count("\n") == 1
+    assert "found a magnetometer alone (mag_x, mag_y, mag_z); log the accelerometers in the same rows" in done.stderr
+    assert list(tmp_path.iterdir()) == [log]

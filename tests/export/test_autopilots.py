@@ -25,7 +25,7 @@ from tumble.recording.formats import messages
 from tumble.recording.session import AutopilotSensor
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.correction import linear_model
+from tumble.result.correction import best_linear_model
 from tumble.result.parts import Parameter
 from tumble.rotation import unit_vector
 from tumble.run.calibrate import calibrate
@@ -203,7 +203,7 @@ def test_the_calibration_of_an_instance_is_that_whose_id_px4_has(px4: tuple[Path
     found = parameters(made, "px4")
     assert (found["CAL_ACC2_ID"], found["CAL_GYRO2_ID"]) == (2490378, 2490386)
     assert {name[:8] for name in found} == {"CAL_ACC2", "CAL_GYRO"}
-    assert found["CAL_ACC2_YOFF"] == pytest.approx(linear_model(made, "accel").bias[1], rel=1e-6)
+    assert found["CAL_ACC2_YOFF"] == pytest.approx(best_linear_model(made, "accel").bias[1], rel=1e-6)
     assert found["CAL_GYRO2_ZOFF"] == pytest.approx(made.gyro.bias[2], rel=1e-6)
     assert found == parameters(made, "px4", imu=3)
 

@@ -18,7 +18,7 @@ from tests.support.exports import FORMATS, beside
 from tests.use.test_applied_model import larger, read, truth
 from tumble.export import export_calibration
 from tumble.result.calibration import Calibration
-from tumble.result.correction import linear_model, session_rate
+from tumble.result.correction import best_linear_model, session_rate
 from tumble.rotation import unit_vector
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import group_name, groups
@@ -126,7 +126,7 @@ def test_the_matrix_and_bias_of_a_linear_format_fit_the_whole_model_best(kind: A
     """No other matrix leaves less over the sphere of 1 g, or of gyros with the bias at rest over the rates up to that
     of the session; what a target then says is what an independent sum of the terms gives."""
     made, instrument, values = larger()
-    best, plain, rate = linear_model(made, kind), (made.accel, made.gyro)[kind == "gyro"], session_rate(made)
+    best, plain, rate = best_linear_model(made, kind), (made.accel, made.gyro)[kind == "gyro"], session_rate(made)
     up = unit_vector(np.random.default_rng(3).standard_normal((20_000, 3)))
     up, across = np.concatenate([up, -up]), np.concatenate([up, up])[:, [1, 2, 0]]
     if kind == "accel":
@@ -153,8 +153,8 @@ def test_the_matrix_and_bias_of_a_linear_format_fit_the_whole_model_best(kind: A
 
 def test_a_calibration_without_further_groups_is_exported_as_it_is() -> None:
     made = calibration()
-    assert linear_model(made, "accel") is made.accel
-    assert linear_model(made, "gyro") is made.gyro
+    assert best_linear_model(made, "accel") is made.accel
+    assert best_linear_model(made, "gyro") is made.gyro
 
 
 def test_imucal_holds_the_g_sensitivity() -> None:

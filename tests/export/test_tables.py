@@ -15,7 +15,7 @@ from scipy.io import loadmat
 from tests.support.calibrated import HEXAD, calibration, warmed
 from tumble.export import export_calibration
 from tumble.result.calibration import Calibration
-from tumble.result.temperature_curves import curve
+from tumble.result.temperature_curves import temperature_curve
 from tumble.units import G_STANDARD
 
 
@@ -105,14 +105,20 @@ def test_the_table_reads_back_to_the_curves_and_names_its_example() -> None:
     assert T.min() == -18.5
     assert T.max() == 57.25
     for name in (f"{kind}.{what}.{s}" for kind in ("accel", "gyro") for what in ("bias", "scale") for s in "xyz"):
-        np.testing.assert_allclose([float(row[name]) for row in rows], curve(made, name, T).value, rtol=1e-8)
+        np.testing.assert_allclose(
+            [float(row[name]) for row in rows], temperature_curve(made, name, T).value, rtol=1e-8
+        )
         d, u = T - made.reference_temperature, {p.name: p.u or 0.0 for p in made.parameters}
         own = np.sqrt(u[name] ** 2 + (u[f"{name}.t1"] * d) ** 2 + (u[f"{name}.t2"] * d**2) ** 2)
         np.testing.assert_allclose([float(row[f"U({name})"]) for row in rows], 2.0 * own, rtol=1e-3)
     assert any(line.startswith("# example gyro at 57.2 degC: reading") for line in lines)
     fine = np.linspace(T[0], T[-1], 5001)
     error = max(
-        float(np.abs(np.interp(fine, T, curve(made, n, T).value) - curve(made, n, fine).value).max())
+        float(
+            np.abs(
+                np.interp(fine, T, temperature_curve(made, n, T).value) - temperature_curve(made, n, fine).value
+            ).max()
+        )
         for n in (f"accel.bias.{s}" for s in "xyz")
     )
     stated = re.search(r"within ([\d.e-]+) mg", exported.losses[0])
@@ -128,4 +134,4 @@ def test_the_table_holds_six_sensors_and_accelerometers_alone() -> None:
 
 def test_a_curve_without_covariance_has_no_band() -> None:
     made = replace(warmed(calibration()), covariance=None)
-    assert curve(made, "accel.bias.x", np.array([0.0, 20.0])).expanded is None
+    assert temperature_curve(made, "accel.bias.x", np.array([0.0, 20.0])).expanded is None

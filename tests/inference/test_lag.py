@@ -24,7 +24,7 @@ from tumble.inference.problem import Problem, instruments_of
 from tumble.inference.start import initial_linearisation
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
-from tumble.run.from_estimate import over_temperature
+from tumble.run.from_estimate import temperature_notes
 from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import group_name, usual_sizes
 from tumble.simulation.observations import simulate_observations
@@ -136,7 +136,7 @@ def test_a_thermometer_that_tells_nothing_costs_little_and_is_said() -> None:
         estimate, alone = joint(observations), joint(plain)
         for i, name in enumerate(estimate.names[:21]):
             ratios.setdefault(group_name(name), []).append(float(estimate.u[i] / alone.u[i]))
-        said = list(over_temperature(estimate, observations))
+        said = list(temperature_notes(estimate, observations))
         assert any(
             "the gyros are not seen to change with temp" in each or "the gyros are behind" in each for each in said
         )

@@ -21,7 +21,7 @@ from tumble.lab.registry.registry import open_registry
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.result.parts import Parameter
-from tumble.run.from_estimate import learned_in, parameters_of
+from tumble.run.from_estimate import build_parameters, prior_fields
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
 
@@ -142,7 +142,7 @@ def seen_in(estimate: Estimate, serial: str, more: float = 0.0) -> Unit:
     seen = np.flatnonzero(estimate.observable)
     every = [
         replace(p, value=p.value + more * (p.name == "accel.scale.y"))
-        for p in parameters_of(estimate, seen, {}, learned_in(estimate))
+        for p in build_parameters(estimate, seen, {}, prior_fields(estimate))
     ]
     return unit_by(every, estimate.covariance[np.ix_(seen, seen)], serial=serial, in_run={})
 

@@ -297,8 +297,6 @@ def test_what_a_wanted_accuracy_needs_is_a_row() -> None:
     "arguments",
     [
         ("--noiseless",),
-        ("--axes", "N,X"),
-        ("--step", "7"),
         ("--accel-only", "--want", "gyro.scale=1ppm"),
         ("--accel-only", "--method", "scalar"),
         ("--want", "accel.scale"),

@@ -576,3 +576,10 @@ def test_raw_messages_of_px4_are_taken_where_they_are_all_there(
     assert any(taken in line for line in draft.remarks)
     assert any("in s (by its name)" in line for line in draft.remarks)
     assert draft.rate == pytest.approx(RATE, rel=1e-3)
+
+
+def test_arrays_of_a_magnetometer_alone_are_named_with_the_next_step(tmp_path: Path) -> None:
+    field = np.random.default_rng(1).normal(size=(500, 3))
+    np.savez(tmp_path / "field.npz", t=0.01 * np.arange(500), mag=field)
+    with pytest.raises(InputError, match="found a magnetometer alone; record the accelerometers with it"):
+        messages(tmp_path / "field.npz")

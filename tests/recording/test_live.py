@@ -6,17 +6,20 @@ import json
 import os
 import pty
 import socket
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tumble.errors import InputError
-from tumble.recording.live.lines import Lines, Row, numbers_in
-from tumble.recording.live.sources import Ended, LineSource, Serial, StandardInput, Tcp, source_of
+from tumble.errors import InputError, MissingExtraError
+from tumble.recording.live.lines import MOTIONCAL_COLUMNS, Lines, Row, numbers_in
+from tumble.recording.live.sources import Ended, LineSource, Mavlink, Serial, StandardInput, Tcp, line_of, source_of
+from tumble.units import G_STANDARD
 
 COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz")
 
@@ -31,7 +34,7 @@ def sent(*numbers: int) -> bytes:
 
 
 def lines(columns: tuple[str, ...] = COLUMNS, refused: list[bytes] | None = None) -> Lines:
-    return Lines(columns=columns, clock="t", refuse=(refused if refused is not None else []).append)
+    return Lines(columns=columns, clock="t", refuse=(refused if refused is not None else []).append, now=lambda: 5.0)
 
 
 # -------------------- lines --------------------
@@ -69,6 +72,8 @@ def test_what_a_line_may_be() -> None:
     assert [(r.text, r.time) for r in header_first] == [("0.5,1,2,3,4,5,6", 0.5)]
     by_name = {"gz": 6, "t": 0.5, "ax": 1, "ay": 2, "az": 3, "gx": 4, "gy": 5.5, "<b>": "x"}
     assert lines().feed(json.dumps(by_name).encode() + b"\n") == [Row(text="0.5,1.0,2.0,3.0,4.0,5.5,6.0", time=0.5)]
+    motioncal = lines(MOTIONCAL_COLUMNS).feed(b"Raw:-8,16,8192,1,-2,3,250,-31,412\n")
+    assert motioncal == [Row(text="5.0,-8,16,8192,1,-2,3,25.0,-3.1,41.2", time=5.0)]
 
 
 @pytest.mark.parametrize(
@@ -148,6 +153,39 @@ def test_standard_input_to_its_end() -> None:
     os.close(into)
     assert received(StandardInput(out), 9, lines()) == [row(1), row(2), row(3)]
     os.close(out)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
+def test_mavlink_through_its_own_sender(monkeypatch: pytest.MonkeyPatch) -> None:
+    mavutil = pytest.importorskip("pymavlink.mavutil")
+    from pymavlink.dialects.v20 import common
+
+    monkeypatch.setattr("tumble.recording.live.sources._CHOOSE_SECONDS", 0.05)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    source, parser, found, k = Mavlink(f"udp:{port}"), lines(), list[str](), 0
+    sender = mavutil.mavlink_connection(f"udpout:127.0.0.1:{port}", source_system=1)
+    while len(found) < 20:
+        k += 1
+        sender.mav.raw_imu_send(10_000 * k, 0, 0, 1000, 0, 0, 17, 0, 0, 0)
+        sender.mav.scaled_imu2_send(10 * k, 1, 0, 1000, 0, 0, 17, 0, 0, 0)
+        found += [r.text for r in parser.feed(source.read(0.01))]
+    sender.port.close()
+    source.close()
+    rows = np.array([[float(v) for v in line.split(",")] for line in found])
+    np.testing.assert_allclose(np.diff(rows[:, 0]), 0.01, atol=1e-9)
+    np.testing.assert_allclose(rows[0, [3, 6]], [G_STANDARD, 0.017])
+    high = common.MAVLink_highres_imu_message(2_500_000, 1.0, 2.0, 9.8, 0.1, 0.2, 0.3, *([0.0] * 7), 0)
+    assert line_of(high) == "2.5,1.0,2.0,9.8,0.1,0.2,0.3\n"
+    scaled = common.MAVLink_scaled_imu_message(2500, 1000, 0, 0, 100, 0, 0, 0, 0, 0)
+    assert [float(v) for v in line_of(scaled).split(",")] == pytest.approx([2.5, G_STANDARD, 0, 0, 0.1, 0, 0])
+
+
+def test_mavlink_says_which_extra_it_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pymavlink", None)
+    with pytest.raises(MissingExtraError, match=r"MAVLink needs pymavlink.*'tumble\[formats\]'"):
+        source_of("mavlink:udp:14550")
 
 
 @pytest.mark.parametrize(

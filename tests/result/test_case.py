@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +24,11 @@ from tumble.run.calibrate import calibrate
 from tumble.run.case import (
     CaseAlignment,
     align_case,
-    case_of,
     estimate_in,
     rotation_between,
     vertical_by_parameters,
 )
-from tumble.sensors.model import Block, SensorModel
+from tumble.sensors.model import Block
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, itinerary, scenario_of
 from tumble.simulation.session import simulate_session
@@ -47,31 +45,19 @@ def exact(direction: Array) -> tuple[Array, Array]:
     return direction, np.zeros((len(direction), 3, 0))
 
 
-def placed(codes: tuple[str, ...], mat_cb: Array, lean: Array, seating: Array) -> tuple[Array, Array, Array]:
-    """Verticals in b, in the case, and attitudes b → geographic, of a block that stands on a plate whose normal leans
-    by `lean` (2,), rad, to north and east, with errors (N, 3) of the seating."""
+def placed(codes: tuple[str, ...], mat_cb: Array, lean: Array, seating: Array) -> tuple[Array, Array]:
+    """Verticals in b and in the case of a block that stands on a plate whose normal leans by `lean` (2,), rad, to north
+    and east, with errors (N, 3) of the seating."""
     nominal = np.array([attitude(code) for code in codes])
     plate = rotation_matrix(np.array([lean[1], 0.0, -lean[0]]))  # the normal U goes by +N for a turn about −E
     np.testing.assert_allclose((plate @ UP)[[0, 2]], lean, atol=1e-3 * float(np.linalg.norm(lean)) + 1e-15)
     true = rotation_matrix(seating) @ plate @ nominal
-    return np.swapaxes(true @ mat_cb, 1, 2) @ UP, nominal[:, 1, :], true @ mat_cb
+    return np.swapaxes(true @ mat_cb, 1, 2) @ UP, nominal[:, 1, :]
 
 
-def found(
-    codes: tuple[str, ...],
-    mat_cb: Array,
-    lean: Array,
-    seating: Array,
-    *,
-    azimuths: bool,
-) -> CaseAlignment:
-    direction, normals, attitudes = placed(codes, mat_cb, lean, seating)
-    return align_case(
-        *exact(direction),
-        normals,
-        rests=np.arange(len(codes)),
-        attitudes=attitudes if azimuths else None,
-    )
+def found(codes: tuple[str, ...], mat_cb: Array, lean: Array, seating: Array) -> CaseAlignment:
+    direction, normals = placed(codes, mat_cb, lean, seating)
+    return align_case(*exact(direction), normals)
 
 
 def error(alignment: CaseAlignment, mat_cb: Array) -> Array:
@@ -91,77 +77,53 @@ def test_the_rotation_between_two_sets_of_directions_is_found(seed: int) -> None
     np.testing.assert_allclose(rotation_between(second @ turned.T, second), turned, atol=1e-9)
 
 
-@pytest.mark.parametrize("azimuths", [False, True])
-def test_on_a_level_plate_the_case_is_found_exactly(azimuths: bool) -> None:
+def test_on_a_level_plate_the_case_is_found_exactly() -> None:
     mat_cb = rotation_matrix(np.array([0.02, -0.03, 0.01]))
-    alignment = found(FACES, mat_cb, np.zeros(2), np.zeros((6, 3)), azimuths=azimuths)
+    alignment = found(FACES, mat_cb, np.zeros(2), np.zeros((6, 3)))
     np.testing.assert_allclose(alignment.alignment.mat_cb, mat_cb, atol=1e-14)
     assert alignment.scatter < 1e-12
-    assert len(alignment.tilt) == (2 if azimuths else 0)
 
 
 @pytest.mark.parametrize("lean", [(0.01, 0.0), (0.0, 0.01), (-0.006, 0.008)])
-def test_faces_doubled_by_180_degrees_cancel_and_tell_the_tilt(lean: tuple[float, float]) -> None:
-    """A plate that leans by 0.57°: with the azimuths known the lean comes out, to the second order of it; without
-    them it cancels all the same, and only the uncertainty knows of it."""
+def test_faces_doubled_by_180_degrees_cancel_the_tilt(lean: tuple[float, float]) -> None:
+    """A plate that leans by 0.57°: the rotation is free of it to the second order, and the scatter contains it."""
     mat_cb = rotation_matrix(np.array([0.02, -0.03, 0.01]))
-    tilted = np.array(lean)
-    known = found(DOUBLED, mat_cb, tilted, np.zeros((12, 3)), azimuths=True)
-    unknown = found(DOUBLED, mat_cb, tilted, np.zeros((12, 3)), azimuths=False)
-    for alignment in (known, unknown):
-        assert np.linalg.norm(error(alignment, mat_cb)) < 2e-4 * 0.01
-    np.testing.assert_allclose(known.tilt, tilted, atol=2e-4 * 0.01)
-    assert known.scatter < 2e-4 * 0.01
-    assert 0.005 < unknown.scatter < 0.01
-    assert np.diag(known.alignment.covariance).max() < 1e-6 * np.diag(unknown.alignment.covariance).min()
+    alignment = found(DOUBLED, mat_cb, np.array(lean), np.zeros((12, 3)))
+    assert np.linalg.norm(error(alignment, mat_cb)) < 2e-4 * 0.01
+    assert 0.005 < alignment.scatter < 0.01
 
 
-def test_single_faces_with_known_azimuths_tell_the_tilt_too() -> None:
-    """In the six attitudes of the programme nine the tilt is no rotation of the case."""
-    mat_cb, tilted = rotation_matrix(np.array([0.01, 0.02, -0.01])), np.array([0.004, -0.007])
-    alignment = found(FACES, mat_cb, tilted, np.zeros((6, 3)), azimuths=True)
-    assert np.linalg.norm(error(alignment, mat_cb)) < 1e-5
-    np.testing.assert_allclose(alignment.tilt, tilted, atol=1e-5)
-
-
-@pytest.mark.parametrize("azimuths", [False, True])
 @pytest.mark.parametrize("codes", [FACES, DOUBLED], ids=["six", "doubled"])
-def test_the_covariance_is_that_of_the_errors(codes: tuple[str, ...], azimuths: bool) -> None:
-    """Seating errors of 3 mrad, and a plate that leans where the azimuths are known, 500 draws: with the scatter from
-    the same residuals, ψᵀ Σ⁻¹ ψ / 3 is Fisher's F of 3 and so many degrees, whose quantiles it must have."""
+def test_the_covariance_is_that_of_the_errors(codes: tuple[str, ...]) -> None:
+    """Seating errors of 3 mrad, 500 draws: with the scatter from the same residuals, ψᵀ Σ⁻¹ ψ / 3 is Fisher's F of 3
+    and so many degrees, whose quantiles it must have."""
     from scipy.stats import f
 
     rng = np.random.default_rng(1 + len(codes))
     mat_cb = rotation_matrix(np.array([0.02, -0.01, 0.03]))
-    draws, ratios, tilts = 500, [], []
+    draws, ratios = 500, []
     for _ in range(draws):
-        lean = np.array([0.005, -0.003]) if azimuths else np.zeros(2)
-        alignment = found(codes, mat_cb, lean, 3e-3 * rng.standard_normal((len(codes), 3)), azimuths=azimuths)
+        alignment = found(codes, mat_cb, np.zeros(2), 3e-3 * rng.standard_normal((len(codes), 3)))
         psi = error(alignment, mat_cb)
         ratios.append(psi @ np.linalg.solve(alignment.alignment.covariance, psi) / 3.0)
-        if azimuths:
-            tilts.append((alignment.tilt - lean) / alignment.tilt_u)
-    degrees = 2 * len(codes) - (5 if azimuths else 3)
+    degrees = 2 * len(codes) - 3
     for quantile in (0.5, 0.9):
         below = np.mean(np.array(ratios) < f.ppf(quantile, 3, degrees))
         assert abs(below - quantile) < 5.5 * np.sqrt(quantile * (1.0 - quantile) / draws)
-    if azimuths:
-        expected = degrees / (degrees - 2.0)
-        assert np.mean(np.square(tilts)) == pytest.approx(expected, rel=0.4)
 
 
 def test_the_rotation_changes_with_the_accelerometer_parameters_as_said() -> None:
     block = Block(kind="accel", axes=np.eye(3))
     values = np.array([0.05, -0.02, 0.03, 4e-3, -2e-3, 3e-3, 5e-3, -4e-3, 3e-3])
     mat_cb = rotation_matrix(np.array([0.02, -0.03, 0.01]))
-    direction, normals, attitudes = placed(FACES, mat_cb, np.array([0.004, 0.002]), np.zeros((6, 3)))
+    direction, normals = placed(FACES, mat_cb, np.array([0.004, 0.002]), np.zeros((6, 3)))
     readings = block.model(values).predict(9.8 * direction)
 
     def aligned(at: Array) -> CaseAlignment:
         force, jacobian = block.model(at).apply(readings), block.jacobian(at)
         change = np.einsum("pkm,ik->ipm", jacobian[:, :3], force) + jacobian[:, 3]
         by_parameters = vertical_by_parameters(block.model(at), force, change)
-        return align_case(unit_vector(force), by_parameters, normals, rests=np.arange(6), attitudes=attitudes)
+        return align_case(unit_vector(force), by_parameters, normals)
 
     base = aligned(values)
     numerical = np.array([(error(aligned(values + h), base.alignment.mat_cb)) / 1e-5 for h in 1e-5 * np.eye(9)]).T
@@ -215,51 +177,6 @@ def test_the_case_of_a_session_is_found_within_its_uncertainty(name: str) -> Non
     assert max(ratios) < 40.0
 
 
-def test_gyros_tell_the_azimuths_of_a_cube() -> None:
-    """The attitudes found from turn to turn are the true ones, but for a common north and the Earth's turn meanwhile,
-    0.1° a move."""
-    described = scenario("cube-14", table=0.0, seed=5)
-    seen, _ = observed(described, 5)
-    way = itinerary(described, np.random.default_rng(5).spawn(3)[0])
-    estimate = staged(seen)
-    _, case = estimate_in("case", estimate, seen)
-    assert case is not None
-    assert len(case.tilt) == 2
-    from tumble.run.case import _attitudes
-
-    force = estimate.accel.apply(seen.rests.accel)
-    attitudes = _attitudes(seen, force / np.linalg.norm(force, axis=1, keepdims=True), estimate.gyro)
-    assert attitudes is not None
-    north = attitudes @ np.swapaxes(way.attitudes, 1, 2)
-    np.testing.assert_allclose(north, np.broadcast_to(north[0], north.shape), atol=13 * 0.1 * DEGREE)
-    np.testing.assert_allclose(north[:, 1, 1], 1.0, atol=1e-6)
-
-
-def test_a_tilted_plate_is_found_in_a_cube_session_by_its_gyros() -> None:
-    """One plate of 0.5° under every face, azimuth at random: the simulation's table errors are all the same turn."""
-    described = scenario("cube-14", table=0.0, seed=6)
-    seen, mounting = observed(described, 6)
-    way = itinerary(described, np.random.default_rng(6).spawn(3)[0])
-    lean = np.array([0.3, -0.4]) * DEGREE
-    plate = rotation_matrix(np.array([lean[1], 0.0, -lean[0]]))
-    model = described.accel.model(np.array([described.truth[n] for n in described.accel.names]))
-    vertical = np.swapaxes(plate @ way.attitudes, 1, 2) @ UP
-    readings = model.predict(seen.site.gravity * vertical)
-    tilted = replace(seen, rests=replace(seen.rests, accel=readings))
-    direction = replace_directions(tilted, model)
-    gyro = described.gyro.model(np.array([described.truth[n] for n in described.gyro.names]))
-    case = case_of(tilted, *direction, gyro)
-    assert np.linalg.norm(error(case, mounting)) < 0.01 * DEGREE
-    assert np.linalg.norm(case.tilt) == pytest.approx(0.5 * DEGREE, rel=0.02)
-    without = case_of(replace(tilted, turns=None), *direction, None)
-    assert len(without.tilt) == 0
-    assert without.scatter > 0.1 * DEGREE
-
-
-def replace_directions(seen: Observations, model: SensorModel) -> tuple[Array, Array]:
-    return exact(unit_vector(model.apply(seen.rests.accel)))
-
-
 def test_the_command_gives_the_case_and_says_how_it_was_found(tmp_path: Path) -> None:
     request = Setup.of(programme="cube-14", rest=8.0, rate_deg_s=40.0, sample_rate=50.0, table_error_deg=0.1)
     folder = simulate_session(tmp_path / "cube", request, seed=31)
@@ -301,4 +218,4 @@ def test_sessions_that_do_not_give_the_case_are_refused_in_one_line(tmp_path: Pa
 
 def test_placements_that_give_no_rotation_are_refused() -> None:
     with pytest.raises(InputError, match="three directions"):
-        align_case(*exact(np.eye(3)[:2]), np.eye(3)[:2], rests=np.arange(2))
+        align_case(*exact(np.eye(3)[:2]), np.eye(3)[:2])

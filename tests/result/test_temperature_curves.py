@@ -12,7 +12,12 @@ import pytest
 from tests.support.calibrated import HEXAD, calibration, warmed, with_fields
 from tumble.result.calibration import read_calibration
 from tumble.result.parts import Launch, coverage_factor
-from tumble.result.temperature_curves import changing, curve, measured_range, warm_rests
+from tumble.result.temperature_curves import (
+    measured_range,
+    rests_with_temperature,
+    temperature_curve,
+    thermal_parameters,
+)
 from tumble.units import G_STANDARD
 from tumble.views.blocks import Figure, Table
 from tumble.views.report.document import ReportedFile, report_of
@@ -42,7 +47,7 @@ def test_u_of_a_curve_has_the_degrees_of_freedom_of_the_sum() -> None:
     assert made.reference_temperature is not None
     u = {name: made[name].u or 0.0 for name in degrees}
     for warmer in (0.0, 10.0, 1e6):
-        found = curve(made, "accel.bias.x", np.array([made.reference_temperature + warmer]))
+        found = temperature_curve(made, "accel.bias.x", np.array([made.reference_temperature + warmer]))
         parts = [u["accel.bias.x"], u["accel.bias.x.t1"] * warmer, u["accel.bias.x.t2"] * warmer**2]
         combined = np.sqrt(np.sum(np.square(parts)))
         nu = combined**4 / (parts[0] ** 4 / 20.0 + parts[1] ** 4 / 3.0)
@@ -56,7 +61,7 @@ def test_a_curve_of_too_few_degrees_of_freedom_has_no_u() -> None:
     assert made.reference_temperature is not None
     for degrees, stated in ((0.5, False), (1.5, True)):
         few = replace(made, parameters=tuple(replace(p, dof=degrees) for p in made.parameters))
-        found = curve(few, "accel.bias.x", np.array([made.reference_temperature]))
+        found = temperature_curve(few, "accel.bias.x", np.array([made.reference_temperature]))
         assert (found.expanded is not None) == stated
         assert np.isfinite(found.value).all()
 
@@ -74,7 +79,7 @@ def test_coefficients_against_each_other_leave_u_its_degrees_of_freedom() -> Non
     covariance[i, j] = covariance[j, i] = -0.999999 * 0.1 * u**2
     parameters = tuple(replace(p, dof=12.0) if p.name.startswith("accel.bias.x") else p for p in made.parameters)
     made = replace(made, parameters=parameters, covariance=covariance)
-    found = curve(made, "accel.bias.x", np.array([reference + 10.0]))
+    found = temperature_curve(made, "accel.bias.x", np.array([reference + 10.0]))
     assert found.expanded is not None
     assert found.expanded[0] == pytest.approx(coverage_factor(12.0) * u * np.sqrt(2e-6), rel=1e-3)
 
@@ -87,9 +92,9 @@ def test_the_range_is_that_of_the_rests_of_all_launches() -> None:
     assert found is not None
     assert (found.low, found.high) == (-18.5, 57.25)
     assert str(found) == "-18.5 to 57.2 °C"
-    assert len(warm_rests(launches)) == 3
+    assert len(rests_with_temperature(launches)) == 3
     assert measured_range(calibration()) is None
-    assert changing(calibration()) == ()
+    assert thermal_parameters(calibration()) == ()
     assert measured_range(warmed(calibration(), low=22.0, high=22.01)) is None
 
 
@@ -109,8 +114,8 @@ def test_what_changes_with_temperature_survives_the_file(tmp_path: Path) -> None
     made = warmed(calibration())
     made.write(tmp_path / "c.json")
     back = read_calibration(tmp_path / "c.json")
-    assert changing(back) == changing(made)
-    assert len(changing(back)) == 12
+    assert thermal_parameters(back) == thermal_parameters(made)
+    assert len(thermal_parameters(back)) == 12
     assert measured_range(back) == measured_range(made)
 
 
@@ -120,9 +125,9 @@ def test_the_report_has_every_parameter_at_both_ends_and_at_the_reference() -> N
     found = next(each for each in part.sections if each.title == "Over temperature")
     table = next(block for block in found.blocks if isinstance(block, Table))
     assert table.columns == ("parameter", "at −18.5 °C", "U", "at 19.4 °C", "U", "at 57.2 °C", "U", "unit")
-    assert [row[0] for row in table.rows] == list(changing(made))
+    assert [row[0] for row in table.rows] == list(thermal_parameters(made))
     row = next(row for row in table.rows if row[0] == "accel.bias.y")
-    own = curve(made, "accel.bias.y", np.array([-18.5, 57.25]))
+    own = temperature_curve(made, "accel.bias.y", np.array([-18.5, 57.25]))
     assert own.expanded is not None
     assert row[-1] == "mg"
     for cell, value in ((row[1], own.value[0]), (row[2], own.expanded[0]), (row[5], own.value[1])):

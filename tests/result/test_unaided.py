@@ -119,6 +119,8 @@ def test_what_nothing_is_known_of_was_there_before() -> None:
     found = re.match(r"at rest off by (\S+) mg → (\S+) mg", improvement(made)[0])
     assert found is not None
     assert float(found[1]) >= float(found[2])
+    by_faces = replace(made, outcome=Outcome(unobservable=("accel.axis.yx", "accel.axis.zx", "accel.axis.zy")))
+    assert improvement(by_faces)[0].endswith(" mg (these rests do not determine the axis angles)")
 
 
 def test_of_refused_sensors_no_improvement_is_stated() -> None:

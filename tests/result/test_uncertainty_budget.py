@@ -18,10 +18,10 @@ from tumble.cli import main
 from tumble.earth import EARTH_RATE
 from tumble.errors import CalibrationError
 from tumble.result.calibration import Calibration
-from tumble.result.shared_errors import by_priors
+from tumble.result.shared_errors import prior_sensitivities
 from tumble.result.uncertainty_budget import shares_by_group, shares_of_priors
 from tumble.run.calibrate import Method
-from tumble.run.launches import Run, mean_of_launches
+from tumble.run.launches import LaunchRun, mean_of_launches
 from tumble.sensors.frames import Frame
 from tumble.sensors.parameters import Terms, beyond_linear
 from tumble.views.calibration import calibration_blocks
@@ -103,7 +103,7 @@ def test_of_launches(tmp_path: Path, terms: Terms) -> None:
     contribute does not average out, noise does."""
     setup = Setup.of(grade="mems", positions=12)
     folders = [simulate_session(tmp_path / f"{i}", setup, seed=1, launch=i) for i in (1, 2, 3)]
-    runs = [Run(session=read_session(folder), calibration=calibrate(folder, terms=terms)) for folder in folders]
+    runs = [LaunchRun(session=read_session(folder), calibration=calibrate(folder, terms=terms)) for folder in folders]
     mean = mean_of_launches(runs)
     assert_whole(mean)
     assert_as_in_ea_4_02(mean)
@@ -126,7 +126,7 @@ def test_of_launches_each_source_is_what_their_mean_varies_by(tmp_path: Path) ->
     setup, runs = Setup.of(grade="mems", positions=12), []
     for launch in (1, 2, 3):
         session = read_session(simulate_session(tmp_path / f"{launch}", setup, seed=1, launch=launch))
-        runs.append(Run(session=session, calibration=calibrate(session, terms="linear")))
+        runs.append(LaunchRun(session=session, calibration=calibrate(session, terms="linear")))
     names, C = list(runs[0].calibration), runs[0].calibration.covariance_of(list(runs[0].calibration))
     assert C is not None
     u, rng = np.sqrt(np.diag(C)), np.random.default_rng(9)
@@ -200,7 +200,7 @@ def test_shares_by_group_are_whole(whole: Calibration) -> None:
 
 def test_priors_err_by_what_the_budget_says(whole: Calibration) -> None:
     """Where the size of a group was found with the estimate, too."""
-    changes = by_priors(whole.parameters, whole.covariance, whole.evidence.budget)
+    changes = prior_sensitivities(whole.parameters, whole.covariance, whole.evidence.budget)
     of_cubic = np.linalg.norm([changes[f"accel.cubic.{axis}"] for axis in "xyz"], axis=0)
     stated = {each.name: each for each in whole.evidence.budget}["prior.accel.cubic"].contributions
     assert of_cubic == pytest.approx([stated.get(name, 0.0) for name in whole], rel=1e-9)
@@ -211,7 +211,7 @@ def test_priors_err_by_no_more_than_u(whole: Calibration) -> None:
     of the device."""
     for made in (whole, whole.in_frame("paper")):
         assert made.covariance is not None
-        changes = by_priors(made.parameters, made.covariance, made.evidence.budget)
+        changes = prior_sensitivities(made.parameters, made.covariance, made.evidence.budget)
         shared = np.sum(np.square(list(changes.values())), axis=0)
         linear = [not beyond_linear(name) for name in made]
         assert np.all(shared[linear] < np.diag(made.covariance)[linear])

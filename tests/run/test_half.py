@@ -22,7 +22,7 @@ from tumble.lab import open_registry
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.sensors.parameters import sensor_kind
-from tumble.use.apply import applied, apply_to_session
+from tumble.use.apply import apply_to_session, correction_notes
 
 __all__ = ["gcc"]
 
@@ -98,7 +98,7 @@ def test_a_half_is_applied_and_the_columns_of_the_other_stay_as_they_are(tmp_pat
     expected = accepted_part(half(made, kind)).apply(*readings) if kind == "gyro" else None
     if expected is not None and expected[1] is not None:
         np.testing.assert_allclose(corrected[own].to_numpy(), expected[1], rtol=0.0, atol=1e-9)
-    assert applied(half(made, kind), session)[0].startswith(ABSENT[kind])
+    assert correction_notes(half(made, kind), session)[0].startswith(ABSENT[kind])
 
 
 def test_what_belongs_to_the_refused_sensors_is_taken_out_and_nothing_else() -> None:

@@ -25,8 +25,8 @@ from tumble.recording.session_file import read_session, write_session
 from tumble.reduction.blocks.reducer import reduce_log
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.run.calibrate import calibrate
-from tumble.run.launches import Run, mean_of_launches
-from tumble.run.magnetometer import NAMES
+from tumble.run.launches import LaunchRun, mean_of_launches
+from tumble.run.magnetometer import PARAMETER_NAMES
 from tumble.run.together import calibrate_together
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array
@@ -99,11 +99,11 @@ def described(changes: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def values(calibration: Calibration) -> Array:
-    return np.array([calibration[name].value for name in NAMES])
+    return np.array([calibration[name].value for name in PARAMETER_NAMES])
 
 
 def us(calibration: Calibration) -> Array:
-    return np.array([calibration[name].u for name in NAMES], dtype=float)
+    return np.array([calibration[name].u for name in PARAMETER_NAMES], dtype=float)
 
 
 def test_a_session_with_a_magnetometer_gives_its_parameters(tmp_path: Path) -> None:
@@ -111,8 +111,8 @@ def test_a_session_with_a_magnetometer_gives_its_parameters(tmp_path: Path) -> N
     assert found.outcome.accepted, found.outcome.reasons
     names = [p.name for p in found.parameters]
     assert names[:9] == list(TRIAD.names)
-    assert [name for name in names if name.startswith("mag.")] == list(NAMES)
-    assert [found[name].unit for name in NAMES] == ["uT"] * 3 + ["1"] * 3 + ["rad"] * 6
+    assert [name for name in names if name.startswith("mag.")] == list(PARAMETER_NAMES)
+    assert [found[name].unit for name in PARAMETER_NAMES] == ["uT"] * 3 + ["1"] * 3 + ["rad"] * 6
     z = (values(found) - TRUTH) / us(found)
     assert np.abs(z).max() < 5.0
     assert us(found)[:3].max() < 0.02
@@ -217,7 +217,7 @@ def test_a_dead_channel_leaves_the_rest_of_the_session_alone_and_its_parameters_
     pl.read_parquet(folder / "log.parquet").with_columns(mz=pl.lit(1.0)).write_parquet(folder / "log.parquet")
     found = calibrate(folder)
     assert found.outcome.accepted
-    assert found.outcome.unobservable == NAMES
+    assert found.outcome.unobservable == PARAMETER_NAMES
     assert any(note.startswith("magnetometer: ") for note in found.provenance.notes)
     assert found.mag is None
     assert found.accel is not None
@@ -292,7 +292,7 @@ def test_apply_refuses_a_magnetometer_in_another_unit(tmp_path: Path) -> None:
 
 def test_several_launches_have_the_mean_magnetometer(tmp_path: Path) -> None:
     folders = [write(tmp_path / str(seed), seed) for seed in (1, 2)]
-    runs = [Run(session=read_session(folder), calibration=calibrate(folder)) for folder in folders]
+    runs = [LaunchRun(session=read_session(folder), calibration=calibrate(folder)) for folder in folders]
     mean = mean_of_launches(runs)
     assert values(mean) == pytest.approx(np.mean([values(run.calibration) for run in runs], axis=0), rel=1e-12)
     assert mean.mag is not None

@@ -16,7 +16,7 @@ from tumble.cli import main
 from tumble.errors import InputError
 from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.result.calibration import read_calibration
-from tumble.run.from_readings import AT_REST, calibrate_readings, paper_form
+from tumble.run.from_readings import REST_GROUPS, calibrate_readings, paper_form
 from tumble.run.readings_table import ReadingsTable, read_table
 from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import units_of, usual_sizes
@@ -78,7 +78,7 @@ def test_the_calibration_file_has_the_form_of_all_others(tmp_path: Path) -> None
     assert content["frame"] == "accelerometer"
     assert [p["name"] for p in content["parameters"][:9]] == list(TRIAD.names)
     assert [p["unit"] for p in content["parameters"][:9]] == list(units_of(TRIAD.names))
-    assert [group["name"] for group in content["groups"]] == list(AT_REST)
+    assert [group["name"] for group in content["groups"]] == list(REST_GROUPS)
     assert np.array(content["covariance"]).shape == (24, 24)
     assert content["gyro"] is None
     calibration = read_calibration(target)
@@ -469,7 +469,7 @@ def test_the_terms_do_not_change_the_values_and_linear_leaves_them_out(tmp_path:
     assert [p.value for p in full.calibration.parameters[:9]] == [p.value for p in linear.calibration.parameters]
     assert len(linear.calibration.parameters) == 9
     assert (full.calibration["accel.bias.x"].u or 0.0) > 3.0 * (linear.calibration["accel.bias.x"].u or 1.0)
-    assert {group.name for group in full.calibration.groups} == set(AT_REST)
+    assert {group.name for group in full.calibration.groups} == set(REST_GROUPS)
     of_paper, u = paper_form(full).covariance, full.calibration["accel.bias.x"].u
     assert of_paper is not None
     assert u is not None

@@ -35,7 +35,7 @@ from tumble.simulation.temperature_profile import (
 from tumble.units import ZERO_CELSIUS, Array
 from tumble.use.apply import apply_to_session
 from tumble.use.check import check_calibration
-from tumble.use.positions import residuals_in
+from tumble.use.positions import position_residuals
 
 __all__ = ["gcc"]
 
@@ -184,7 +184,7 @@ def test_positions_are_verified_at_the_temperature_of_their_sensors(made: Calibr
     assert observations is not None
     cold = replace(observations, rests=replace(observations.rests, temperatures=None))
     for seen, agrees in ((observations, True), (cold, False)):
-        found = residuals_in(made, seen, "hot")
+        found = position_residuals(made, seen, "hot")
         assert (np.abs(found.sigmas).max() < found.limit) == agrees
 
 

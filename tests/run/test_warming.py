@@ -15,7 +15,7 @@ from tumble.export import export_calibration
 from tumble.inference.sources import earth_at_rest
 from tumble.reduction.rests.thermometer_errors import curve_through, level_crossings
 from tumble.result.parts import CalibratedTemperature
-from tumble.result.temperature_curves import curve
+from tumble.result.temperature_curves import temperature_curve
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
@@ -65,7 +65,7 @@ def test_coefficients_and_lags_are_right_and_better_than_a_plain_fit(recorded: W
         assert np.linalg.norm(off(alone, recorded, kind)) < 0.5 * np.linalg.norm(off_by_fit(alone, recorded, kind))
         T = np.array(alone.temperature_range)
         for i, x in enumerate("xyz"):
-            found, d = curve(alone, f"{kind}.bias.{x}", T), T - recorded.middle
+            found, d = temperature_curve(alone, f"{kind}.bias.{x}", T), T - recorded.middle
             at = (alone.reference_temperature or 0.0) - recorded.middle
             b = recorded.biases[kind][i]
             true = b @ [d, d**2, d**3] - b @ [at, at**2, at**3]
@@ -103,7 +103,7 @@ def test_files_of_autopilots_say_the_curves_of_the_estimate(alone: Calibration) 
     T = np.linspace(*(alone.temperature_range or (0.0, 0.0)), 9)
     for kind, stem, short in (("accel", "TC_A0", "ACC"), ("gyro", "TC_G0", "GYR")):
         for i, x in enumerate("xyz"):
-            told = curve(alone, f"{kind}.bias.{x}", T).value
+            told = temperature_curve(alone, f"{kind}.bias.{x}", T).value
             d = T - px4[f"{stem}_TREF"]
             by_px4 = [px4[f"{stem}_X{k}_{i}"] * d**k for k in POWERS]
             by_ardupilot = [1e-6 * ardupilot[f"INS_TCAL1_{short}{k}_{x.upper()}"] * (T - 35.0) ** k for k in POWERS]
@@ -157,7 +157,7 @@ def test_a_calibration_of_unknown_temperature_may_be_of_any_of_the_recording(
     made = calibrate(base=unknown, **recorded.arrays)
     T = np.array([rest.temperature for rest in made.evidence.rests], dtype=float)
     for name in ("accel.bias.x", "gyro.bias.x", "gyro.bias.z"):
-        spread = curve(made, name, T).value.std()
+        spread = temperature_curve(made, name, T).value.std()
         assert (made[name].u or 0.0) == pytest.approx(np.hypot(base[name].u or 0.0, spread), rel=0.05)
     assert any("does not say at which temperature" in said for said in made.provenance.assumptions)
 

@@ -15,14 +15,14 @@ from scipy.linalg import sqrtm
 
 from tests.support.shared import calibrated, session
 from tumble.cli import main
-from tumble.commands.ask import FRAMES as OFFERED
+from tumble.commands.params import FRAMES as OFFERED
 from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.rotation import rotation_matrix
 from tumble.run.calibrate import calibrate
-from tumble.run.launches import Run, mean_of_launches
+from tumble.run.launches import LaunchRun, mean_of_launches
 from tumble.sensors.frames import FRAMES, Alignment, Convention, Frame, convert, frame_of, rotation_to, triad_axes
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import Array
@@ -330,7 +330,9 @@ def test_a_calibration_is_written_and_read_in_every_frame(
 
 def test_the_mean_of_launches_is_in_their_frame(folder: Path) -> None:
     sessions = [read_session(each) for each in (folder, session(CUBE, seed=21, launch=2))]
-    mean = mean_of_launches([Run(session=s, calibration=calibrate(s, frame="paper", terms="linear")) for s in sessions])
+    mean = mean_of_launches(
+        [LaunchRun(session=s, calibration=calibrate(s, frame="paper", terms="linear")) for s in sessions]
+    )
     assert mean.frame == "paper"
     assert mean.accel is not None
     np.testing.assert_allclose(np.tril(mean.accel.matrix, -1), 0.0, atol=1e-15)

@@ -18,7 +18,7 @@ from tumble.sensors.instrument import Instrument, readings
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import ParameterGroup, Variable, group_of
 from tumble.units import DEGREE, ZERO_CELSIUS, Array
-from tumble.use.apply import applied, apply_to_session
+from tumble.use.apply import apply_to_session, correction_notes
 
 N = 500
 AT_REST: tuple[Variable, ...] = ("temperature", "temperature²")
@@ -193,7 +193,7 @@ def test_lever_arms_are_undone_in_a_log_with_rates_whatever_its_pieces(tmp_path:
     inside = slice(1, -1)
     assert np.abs(alone - force)[inside].max() > 0.05
     assert np.abs(found - force)[inside].max() < 1e-4
-    assert "accelerometers are moved" in applied(made, folder)[0]
+    assert "accelerometers are moved" in correction_notes(made, folder)[0]
 
 
 @pytest.mark.parametrize(("unit", "zero"), [("degC", 0.0), ("K", 273.15)])
@@ -232,4 +232,6 @@ def test_a_log_is_corrected_at_the_temperatures_of_sensors_that_lag(tmp_path: Pa
         found_f, found_w = corrected(lagging, folder)
         np.testing.assert_allclose(found_f, force, atol=1e-8)
         np.testing.assert_allclose(found_w, rate, atol=2e-9)
-        assert any(f"with a lag of {lag:.0f} s (accel), {lag:.0f} s (gyro)" in s for s in applied(lagging, folder))
+        assert any(
+            f"with a lag of {lag:.0f} s (accel), {lag:.0f} s (gyro)" in s for s in correction_notes(lagging, folder)
+        )

@@ -21,7 +21,7 @@ from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Parameter
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array
-from tumble.use.corrector import LATEST, Corrected, Corrector
+from tumble.use.corrector import CLOCK_RESTART, Corrected, Corrector
 
 Readings = tuple[Array, Array, Array, Array]
 """Readings of accelerometers and gyros, stamps, s, and temperatures, K."""
@@ -192,7 +192,7 @@ def test_late_samples_are_dropped_and_counted() -> None:
 def test_a_clock_that_starts_anew_is_a_gap() -> None:
     made, (accel, gyro, _, _) = moving()
     time = np.concatenate([100.0 + 0.01 * np.arange(10), 0.01 * np.arange(10)])
-    assert time[9] - time[10] > LATEST
+    assert time[9] - time[10] > CLOCK_RESTART
     some = accel[:20], gyro[:20], time, np.full(20, 300.0)
     corrector = Corrector(made)
     stamps, force, _, _ = fed(corrector, some, [7])

@@ -22,7 +22,7 @@ from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.further import decided_by_priors, group_lines, verdicts
 from tumble.result.parts import Parameter
 from tumble.run.calibrate import calibrate
-from tumble.run.launches import Run, mean_of_launches
+from tumble.run.launches import LaunchRun, mean_of_launches
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, rounded, two_digits
 from tumble.views.blocks import Block, Items, Table, Text
@@ -52,7 +52,7 @@ def by_method(folders: list[Path]) -> dict[str, Calibration]:
     sessions = [read_session(folder) for folder in folders]
     return {
         method: mean_of_launches(
-            [Run(session=s, calibration=calibrate(s, method=method, terms="linear")) for s in sessions]
+            [LaunchRun(session=s, calibration=calibrate(s, method=method, terms="linear")) for s in sessions]
         )
         for method in ("scalar", "sequential")
     }
@@ -153,7 +153,7 @@ def test_deviations_from_the_systematic_values_stand_beside_the_totals(
     sessions = [read_session(folder) for folder in folders]
     sessions = [replace(s, device=replace(s.device, systematic=passport)) for s in sessions]
     mean = mean_of_launches(
-        [Run(session=s, calibration=calibrate(s, method="scalar", terms="linear")) for s in sessions]
+        [LaunchRun(session=s, calibration=calibrate(s, method="scalar", terms="linear")) for s in sessions]
     )
     rows = numbers(launch_table(mean, mean.parameters, deviations=True))
     for p in mean.parameters:

@@ -29,7 +29,7 @@ from tumble.recording.session import AirConditions, Circumstances
 from tumble.recording.session_file import session_of
 from tumble.result.calibration import read_calibration
 from tumble.result.coverage import expanded
-from tumble.result.further import left_by_matrix
+from tumble.result.further import linear_errors_text
 from tumble.result.parts import Launch, Parameter
 from tumble.result.uncertainty_budget import shares_of_priors
 from tumble.run.calibrate import calibrate
@@ -403,7 +403,7 @@ def test_the_whole_correction_is_printed_and_its_test_vector_follows_from_what_i
     np.testing.assert_allclose(accel, reading, rtol=0.0, atol=2e-8)
     np.testing.assert_allclose(gyro, turning, rtol=0.0, atol=2e-8)
     assert not np.allclose(A @ f + a0[:, 0], reading, rtol=0.0, atol=1e-5)
-    left = left_by_matrix(read_calibration(real / "real.json"))
+    left = linear_errors_text(read_calibration(real / "real.json"))
     assert left
     assert left in page.whole
 
@@ -441,11 +441,11 @@ def test_what_matrix_and_bias_leave_is_the_size_of_what_they_have_not() -> None:
     made = calibration()
     more = Parameter(name="accel.quadratic.x", value=50e-6 / 9.80665, u=1e-7, unit="s^2/m")
     bent = replace(made, parameters=(*made.parameters, more), covariance=None)
-    left = left_by_matrix(bent)
+    left = linear_errors_text(bent)
     largest = re.fullmatch(r"with matrix and bias alone: off by up to ([0-9.]+) µg \(rms [0-9.]+ µg\) at 1 g", left)
     assert largest is not None  # and nothing of a rate
     assert float(largest[1]) == pytest.approx(50.0, rel=0.02)
-    assert left_by_matrix(made) == ""
+    assert linear_errors_text(made) == ""
 
 
 def test_a_logo_that_is_none_and_another_device_as_found_are_refused(tmp_path: Path) -> None:

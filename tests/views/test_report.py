@@ -37,7 +37,7 @@ from tumble.inference.estimate import Outcome
 from tumble.inference.prediction import Prediction
 from tumble.planning.setup import Setup
 from tumble.result.calibration import read_calibration
-from tumble.result.further import described
+from tumble.result.further import parameter_words
 from tumble.result.parts import coverage_factor
 from tumble.run.calibrate import calibrate
 from tumble.sensors.model import SensorModel
@@ -224,7 +224,7 @@ def test_the_test_vectors_follow_from_the_printed_numbers(page: Page, content: A
     ],
 )
 def test_parameters_are_put_into_words(name: str, said: str) -> None:
-    assert described(name) == said
+    assert parameter_words(name) == said
 
 
 @pytest.mark.parametrize(

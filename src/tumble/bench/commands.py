@@ -8,7 +8,8 @@ from typing import Any
 
 import click
 
-from tumble.commands import ask, tell
+from tumble.commands import console as tell
+from tumble.commands import params as ask
 
 
 @click.command(

@@ -25,6 +25,8 @@ from tumble.recording.session_file import SESSION_FILE, read_session, write_sess
 from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, Unit
 
+MOTIONCAL = Path(__file__).with_name("motioncal.toml")
+"""The table [log] of what MotionCal's sketches send."""
 _FILE = re.compile(r"^file *= *(\[[^\]]*\]|.*)$", re.MULTILINE)
 
 
@@ -38,7 +40,8 @@ def begin(folder: Path, *, log: Mapping[str, Any], serial: str, site: Mapping[st
 
 def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, Any], programme: str | None) -> None:
     """Make a session folder for a source, as --listen names it: a copy of the session that is replayed, with a CSV log
-    and what else is given; otherwise for SI. Raises InputError where --serial or --latitude is missing."""
+    and what else is given; otherwise for SI, or for MotionCal. Raises InputError where --serial or --latitude is
+    missing."""
     kind, _, rest = listen.partition(":")
     if kind == "replay":
         original = Path(rest.rpartition("@")[0] if "@" in rest else rest)
@@ -52,6 +55,7 @@ def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, 
         content |= {} if programme is None else {"programme": {"name": programme}}
         write_session(folder, content)
         return
+    motioncal = kind == "serial" and rest.endswith(":motioncal")
     needed = {"--serial": serial, "--latitude": site.get("latitude_deg")}
     missing = [option for option, given in needed.items() if given is None]
     if serial is None or missing:
@@ -59,7 +63,8 @@ def begin_for(folder: Path, listen: str, serial: str | None, site: Mapping[str, 
             f"{folder}: expected --serial (of the unit) and --latitude (of the place) for a new session, found no "
             f"{' and no '.join(missing)}"
         )
-    begin(folder, log=SI_LOG, serial=serial, site=site, programme=programme)
+    described = toml_of(text_of_document(MOTIONCAL), MOTIONCAL.name) if motioncal else SI_LOG
+    begin(folder, log=described, serial=serial, site=site, programme=programme)
 
 
 def session_to_record(folder: Path) -> Session:

@@ -348,4 +348,5 @@ def station_of(
         return Station(folder, None, **wishes)
     if not known:
         session_folder.begin_for(folder, listen, serial, site, programme)
-    return Station(folder, lambda: source_of(listen), **wishes)
+    source = listen.removesuffix(":motioncal")
+    return Station(folder, lambda: source_of(source), **wishes)

@@ -1,4 +1,4 @@
-"""`calibrate`, `ellipsoid`: from sessions, or from a table of readings, to a calibration file."""
+"""Commands that make a calibration file: `calibrate`, `ellipsoid`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands import ask, tell
+from tumble.commands import console, params
 from tumble.commands.recordings import check_recordings, gyros_of, session_folders
 from tumble.errors import GyrosAloneError, InputError
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from tumble.run.calibrate import Method
     from tumble.units import Array
 
-_RESTS = ask.Numbers("numbers of rests such as 3,7", int)
+_RESTS = params.Numbers("numbers of rests such as 3,7", int)
 
 
 @click.command(
-    epilog=ask.examples(
+    epilog=params.examples(
         "tumble calibrate imu-7",
         "tumble calibrate LOG0007.TXT --latitude 56.84 --serial A-7",
         "tumble calibrate monday tuesday --out A-7.json",
@@ -35,24 +35,28 @@ _RESTS = ask.Numbers("numbers of rests such as 3,7", int)
         "tumble calibrate imu-7 --json",
     )
 )
-@click.argument("sessions", metavar="SESSION...", type=ask.PATH, nargs=-1, required=True)
-@ask.method(ask.METHOD_NAMES, ask.METHOD_NAMES[:1], "How to estimate; again: another method beside it.", multiple=True)
-@ask.option("--iterations", "Passes of sequential and scalar; default 2.", type=click.IntRange(min=1))
-@ask.frame()
-@ask.terms("full")
-@ask.option("--without", "Rests to leave out, by their numbers in the result, such as 3,7.", metavar="N,N", type=_RESTS)
-@click.option("--together", is_flag=True, help="Several sessions, at other temperatures, as one estimate.")
-@ask.option(
-    "--base", "Calibration whose biases get coefficients by a recording at rest over temperature.", type=ask.FILE
+@click.argument("sessions", metavar="SESSION...", type=params.PATH, nargs=-1, required=True)
+@params.method(
+    params.METHOD_NAMES, params.METHOD_NAMES[:1], "How to estimate; again: another method beside it.", multiple=True
 )
-@ask.out("Calibration file to write; default: calibration.json in the session folder.")
-@ask.force("Replace a calibration file that came from another log or method.")
-@ask.option("--truth", "truth.json of a simulated session: show true values beside the result.", type=ask.FILE)
-@ask.LOG
-@ask.registry("For one session: a prior by other units of the device's type, instead of that of its grade.")
+@params.option("--iterations", "Passes of sequential and scalar; default 2.", type=click.IntRange(min=1))
+@params.frame()
+@params.terms("full")
+@params.option(
+    "--without", "Rests to leave out, by their numbers in the result, such as 3,7.", metavar="N,N", type=_RESTS
+)
+@click.option("--together", is_flag=True, help="Several sessions, at other temperatures, as one estimate.")
+@params.option(
+    "--base", "Calibration whose biases get coefficients by a recording at rest over temperature.", type=params.FILE
+)
+@params.out("Calibration file to write; default: calibration.json in the session folder.")
+@params.force("Replace a calibration file that came from another log or method.")
+@params.option("--truth", "truth.json of a simulated session: show true values beside the result.", type=params.FILE)
+@params.LOG
+@params.registry("For one session: a prior by other units of the device's type, instead of that of its grade.")
 @click.option("--budget", is_flag=True, help="Show what every u is made of, by source.")
-@ask.JSON
-@ask.EVERY
+@params.JSON
+@params.EVERY
 def calibrate(
     sessions: tuple[Path, ...],
     method: tuple[Method, ...],
@@ -94,20 +98,20 @@ def calibrate(
         )
     if without is not None and len(sessions) > 1:
         raise InputError("--without: expected one session, whose rests are numbered, found several; use [[exclude]]")
-    if together and (list(methods) != ask.METHOD_NAMES[:1] or estimation["iterations"] is not None or linear):
+    if together and (list(methods) != params.METHOD_NAMES[:1] or estimation["iterations"] is not None or linear):
         raise InputError(
-            f"--together: expected the method {ask.METHOD_NAMES[0]!r} with all terms and no iterations, found others"
+            f"--together: expected the method {params.METHOD_NAMES[0]!r} with all terms and no iterations, found others"
         )
-    true, known = None, None
+    truth_by_name, true_values = None, None
     if truth is not None:
         from tumble.simulation.session import read_truth
 
-        true = read_truth(truth)
+        truth_by_name = read_truth(truth)
     if base is not None and (len(sessions) > 1 or together or methods != ("joint",)):
         raise InputError("--base: expected one recording and the method joint, found others")
     estimation |= {} if base is None else {"base": base}
-    made = session_folders(sessions, dict(options), every=shown["every"])
-    with _of_gyros(sessions, options, out, force=force), made as folders, tell.estimating() as progress:
+    folders_made = session_folders(sessions, dict(options), every=shown["every"])
+    with _gyros_alone(sessions, options, out, force=force), folders_made as folders, console.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
         if together:
             from tumble.run.together import calibrate_together
@@ -125,25 +129,24 @@ def calibrate(
         result, *others = results
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
-    if true is not None:
+    if truth_by_name is not None:
         from tumble.result.record import reference_of_parameter
         from tumble.simulation.temperature_profile import truth_at
 
-        known = truth_at(true, result.reference_temperature, partial(reference_of_parameter, result))
-    tell.show(
+        true_values = truth_at(truth_by_name, result.reference_temperature, partial(reference_of_parameter, result))
+    console.show(
         result.content() | ({"others": [other.content() for other in others]} if others else {}),
-        lambda: calibration_blocks(result, known, others, file=target, session=described[0].name, **shown),
+        lambda: calibration_blocks(result, true_values, others, file=target, session=described[0].name, **shown),
         width=None if shown["every"] else WIDTH,
     )
-    tell.say(f"written to {target}")
+    console.say(f"written to {target}")
     for other in others:
         for reason in other.outcome.reasons:
-            tell.warn(f"{other.method}: not accepted: {reason}")
-    tell.end(result.outcome.reasons, "not accepted: ", most=None if shown["every"] else MAX_REMARKS)
+            console.warn(f"{other.method}: not accepted: {reason}")
+    console.end(result.outcome.reasons, "not accepted: ", most=None if shown["every"] else MAX_REMARKS)
 
 
 def _taken(options: dict[str, Any], *names: str) -> dict[str, Any]:
-    """Options of these names, taken out of all."""
     return {name: options.pop(name) for name in names}
 
 
@@ -151,57 +154,51 @@ def _prior_by_type(registry: str, session: Session) -> DevicePrior:
     """Return the prior of a device by other units of its type in a registry."""
     if session.device.model is None:
         raise InputError("--registry: expected the type of the device, `model` under [device], found none")
-    with ask.opened(registry) as opened:
+    with params.opened(registry) as opened:
         return opened.prior(session.device.model, without=session.device.serial)
 
 
 @contextmanager
-def _of_gyros(logs: Sequence[Path], stated: dict[str, Any], out: Path | None, *, force: bool) -> Iterator[None]:
-    """Where a log turns out to be one of gyros alone, their biases, written beside it, and the end of the program."""
+def _gyros_alone(logs: Sequence[Path], stated: dict[str, Any], out: Path | None, *, force: bool) -> Iterator[None]:
+    """If a log turns out to have gyros alone, calibrate their biases, write the file beside it, and exit."""
     try:
         yield
     except GyrosAloneError:
         from tumble.run.gyros_alone import calibrate_gyros
         from tumble.views.calibration import WIDTH, calibration_blocks
 
-        result = calibrate_gyros(gyros_of(logs[0], ask.given_of(stated)))
+        result = calibrate_gyros(gyros_of(logs[0], params.given_of(stated)))
         target = out or logs[0].with_name(f"{logs[0].stem}.calibration.json")
         result.write(target, force=force)
-        tell.show(result.content(), lambda: calibration_blocks(result, file=target, session=logs[0]), width=WIDTH)
-        tell.say(f"written to {target}")
-        tell.end(result.outcome.reasons, "not accepted: ")
+        console.show(result.content(), lambda: calibration_blocks(result, file=target, session=logs[0]), width=WIDTH)
+        console.say(f"written to {target}")
+        console.end(result.outcome.reasons, "not accepted: ")
 
 
 @click.command(
-    epilog=ask.examples("tumble ellipsoid positions.csv --unit g", "tumble ellipsoid volts.csv --scale=-2.4")
+    epilog=params.examples("tumble ellipsoid positions.csv --unit g", "tumble ellipsoid volts.csv --scale=-2.4")
 )
-@click.argument("readings", metavar="READINGS.csv", type=ask.FILE)
-@ask.option("--unit", "Of the readings: V, count, g or m/s^2.", "V")
-@ask.option(
+@click.argument("readings", metavar="READINGS.csv", type=params.FILE)
+@params.option("--unit", "Of the readings: V, count, g or m/s^2.", "V")
+@params.option(
     "--scale",
     "Nominal output per unit, signed by polarity; default: from the readings.",
     metavar="K|K,K,K",
-    type=ask.NUMBERS,
+    type=params.NUMBERS,
 )
-@ask.option("--scale-per", "Unit that the scale is per: g (default) or m/s^2.")
-@ask.GRAVITY
-@ask.option("--gravity-u", "Its standard uncertainty; default: 3e-4, of gravity from a latitude.", type=float)
-@ask.option("--position/positions", "Where up roughly was in position N; repeat.", multiple=True, metavar="N=X,Y,Z")
-@ask.option("--rows-per-position", "Rows of one position after another.", 1, type=int)
-@ask.grade(None, "; default: any, as far as residuals allow")
-@ask.terms("full")
-@ask.frame([frame for frame in ask.FRAMES if frame != "case"])
-@ask.SERIAL
-@ask.out("Calibration file; default: READINGS.calibration.json beside the table.")
-@ask.force("Replace a calibration file that came from another table or method.")
-@ask.JSON
-def ellipsoid(
-    readings: Path,
-    positions: tuple[str, ...],
-    out: Path | None,
-    force: bool,
-    **options: Any,
-) -> None:
+@params.option("--scale-per", "Unit that the scale is per: g (default) or m/s^2.")
+@params.GRAVITY
+@params.option("--gravity-u", "Its standard uncertainty; default: 3e-4, of gravity from a latitude.", type=float)
+@params.option("--position/positions", "Where up roughly was in position N; repeat.", multiple=True, metavar="N=X,Y,Z")
+@params.option("--rows-per-position", "Rows of one position after another.", 1, type=int)
+@params.grade(None, "; default: any, as far as residuals allow")
+@params.terms("full")
+@params.frame([frame for frame in params.FRAMES if frame != "case"])
+@params.SERIAL
+@params.out("Calibration file; default: READINGS.calibration.json beside the table.")
+@params.force("Replace a calibration file that came from another table or method.")
+@params.JSON
+def ellipsoid(readings: Path, positions: tuple[str, ...], out: Path | None, force: bool, **options: Any) -> None:
     """Calibrate three accelerometers from READINGS.csv, their mean readings in nine or more positions.
 
     The table has a header with the names of three columns, one per channel, and a row per position.
@@ -212,20 +209,20 @@ def ellipsoid(
     result = calibrate_readings(readings, directions=dict(map(_position, positions)), **options)
     target = out or readings.with_suffix(".calibration.json")
     result.calibration.write(target, force=force)
-    tell.show(result.calibration.content(), lambda: readings_blocks(result))
-    tell.say(f"written to {target}")
-    tell.end(result.calibration.outcome.reasons, "not accepted: ")
+    console.show(result.calibration.content(), lambda: readings_blocks(result))
+    console.say(f"written to {target}")
+    console.end(result.calibration.outcome.reasons, "not accepted: ")
 
 
 def _position(text: str) -> tuple[int, Array]:
-    """N=X,Y,Z: a position and the direction (3,) of up in it."""
+    """Return the position and the direction (3,) of up in it from N=X,Y,Z."""
     import numpy as np
 
     from tumble.documents import whole_number
 
     number, _, direction = text.partition("=")
     position = whole_number(number.strip())
-    vector = np.array(ask.NUMBERS.read("--position", direction)) if direction else np.zeros(0)
+    vector = np.array(params.NUMBERS.read("--position", direction)) if direction else np.zeros(0)
     if position is None or vector.shape != (3,) or not np.isfinite(vector).all() or not vector.any():
         raise InputError(f"--position: expected N=X,Y,Z, the number of a position and a direction, found {text!r}")
     return position, vector

@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands import ask, tell
+from tumble.commands import console, params
 
 if TYPE_CHECKING:
     from tumble.run.calibrate import Method
 
 
-@click.command(epilog=ask.examples("tumble campaign methods.toml -o methods"))
-@click.argument("file", metavar="FILE.toml", type=ask.FILE)
-@ask.JSON
-@ask.CLUSTER
+@click.command(epilog=params.examples("tumble campaign methods.toml -o methods"))
+@click.argument("file", metavar="FILE.toml", type=params.FILE)
+@params.JSON
+@params.CLUSTER
 def campaign(file: Path, out: Path, **place: Any) -> None:
     """Simulate and calibrate many times over the grid of FILE.toml.
 
@@ -27,24 +27,24 @@ def campaign(file: Path, out: Path, **place: Any) -> None:
     from tumble.campaigns.campaign import campaign, varying
     from tumble.views.campaign import summary_blocks
 
-    with tell.task_progress("trials", out) as progress:
+    with console.task_progress("trials", out) as progress:
         result = campaign(file, out, progress=progress, **place)
-    tell.show(result, lambda: summary_blocks(result.lines))
+    console.show(result, lambda: summary_blocks(result.lines))
     short = {(*line.point.values(), line.method): line for line in result.lines if line.why}
-    for line in list(short.values())[: tell.SHOWN]:
+    for line in list(short.values())[: console.SHOWN]:
         where = ", ".join([*(f"{axis} {line.point[axis]}" for axis in varying(result.lines)), line.method])
-        tell.warn(
+        console.warn(
             f"{where}: {line.trials - line.accepted} of {line.trials} not accepted or failed, the first: {line.why}"
         )
-    tell.say(f"written to {out}: {result.rows.name}, {result.summary.name}")
-    tell.end([] if any(line.accepted for line in result.lines) else ["not accepted: none of the trials"])
+    console.say(f"written to {out}: {result.rows.name}, {result.summary.name}")
+    console.end([] if any(line.accepted for line in result.lines) else ["not accepted: none of the trials"])
 
 
-@click.command(epilog=ask.examples("tumble fleet 'sessions/*' -o results"))
+@click.command(epilog=params.examples("tumble fleet 'sessions/*' -o results"))
 @click.argument("sessions", metavar="GLOB|MANIFEST")
-@ask.method(ask.METHOD_NAMES, ask.METHOD_NAMES[0], "How to estimate.")
-@ask.JSON
-@ask.CLUSTER
+@params.method(params.METHOD_NAMES, params.METHOD_NAMES[0], "How to estimate.")
+@params.JSON
+@params.CLUSTER
 def fleet(sessions: str, method: Method, out: Path, **place: Any) -> None:
     """Calibrate all sessions that GLOB matches or MANIFEST lists, with a row for each.
 
@@ -53,19 +53,19 @@ def fleet(sessions: str, method: Method, out: Path, **place: Any) -> None:
     """
     from tumble.campaigns.fleet import fleet
 
-    with tell.task_progress("sessions", out) as progress:
+    with console.task_progress("sessions", out) as progress:
         result = fleet(sessions, out, method=method, progress=progress, **place)
     outcomes = {"not accepted": result.not_accepted, "failed": result.failed}
     counts = ", ".join(f"{len(reasons)} {outcome}" for outcome, reasons in outcomes.items())
-    tell.show(result, lambda: [f"{len(result.sessions)} sessions: {result.accepted} accepted, {counts}"])
-    said = [
+    console.show(result, lambda: [f"{len(result.sessions)} sessions: {result.accepted} accepted, {counts}"])
+    lines = [
         f"{outcome}: {session}: {why.replace(f'{session}/', '')}"
         for outcome, reasons in outcomes.items()
         for session, why in reasons.items()
     ]
-    for line in said[: tell.SHOWN]:
-        tell.warn(line)
-    if len(said) > tell.SHOWN:
-        tell.say(f"and {len(said) - tell.SHOWN} more, in the columns reasons and error of the rows")
-    tell.say(f"written to {result.rows}")
-    sys.exit(1 if said else 0)
+    for line in lines[: console.SHOWN]:
+        console.warn(line)
+    if len(lines) > console.SHOWN:
+        console.say(f"and {len(lines) - console.SHOWN} more, in the columns reasons and error of the rows")
+    console.say(f"written to {result.rows}")
+    sys.exit(1 if lines else 0)

@@ -1,4 +1,4 @@
-"""Commands that write what is passed on: `report`, `export`."""
+"""Commands that write a calibration for others: `report`, `export`."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import Any
 
 import click
 
-from tumble.commands import ask, tell
+from tumble.commands import console, params
 from tumble.errors import InputError
 
-_IDS = ask.Numbers("the numbers in CAL_ACC0_ID and CAL_GYRO0_ID with a comma between", int, count=2)
-_COUNTS = ask.Numbers("counts a g and a deg/s with a comma between", count=2, above=0.0)
+_IDS = params.Numbers("the numbers in CAL_ACC0_ID and CAL_GYRO0_ID with a comma between", int, count=2)
+_COUNTS = params.Numbers("counts a g and a deg/s with a comma between", count=2, above=0.0)
 
 
 @click.command(
-    epilog=ask.examples(
+    epilog=params.examples(
         "tumble report imu-7/calibration.json -o imu-7.html",
         "tumble report imu-7/calibration.json -o imu-7.pdf --certificate certificate.toml",
     )
 )
-@click.argument("calibrations", metavar="CALIBRATION...", type=ask.FILE, nargs=-1, required=True)
-@ask.out("File to write: .html; of a certificate also .pdf.", required=True)
-@ask.option("--limits", "Acceptance limits (TOML): judge every parameter by them.", type=ask.FILE)
-@ask.CERTIFICATE
+@click.argument("calibrations", metavar="CALIBRATION...", type=params.FILE, nargs=-1, required=True)
+@params.out("File to write: .html; of a certificate also .pdf.", required=True)
+@params.option("--limits", "Acceptance limits (TOML): judge every parameter by them.", type=params.FILE)
+@params.CERTIFICATE
 def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certificate: Path | None) -> None:
     """Report of a calibration, or of several of one device: a page that needs nothing else and prints well."""
     from types import FunctionType
@@ -35,15 +35,15 @@ def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certi
     if limits is not None and certificate is not None:
         raise InputError("--limits: expected none with --certificate, whose file names the limits, found one")
     write, file = write_report, limits or certificate
-    if file is not None:  # what the laboratory adds
+    if file is not None:
         kind = "limits" if limits is not None else "certificate"
         found = load("reports", kind, FunctionType)
         if found is None:
             raise InputError(f"--{kind}: expected the reports of `tumble.lab`, found none; install tumble anew")
         write = partial(found, **{kind: file})
     reasons = write(calibrations, out)
-    tell.say(f"written to {out}")
-    tell.end(reasons, "not accepted: ")
+    console.say(f"written to {out}")
+    console.end(reasons, "not accepted: ")
 
 
 class _ExportCommand(click.Command):
@@ -73,28 +73,28 @@ class _Target(click.ParamType[str]):
 
 @click.command(
     cls=_ExportCommand,
-    epilog=ask.examples(
+    epilog=params.examples(
         "tumble export imu-7/calibration.json --to px4 -o imu-7.params",
         "tumble export imu-7/calibration.json --template slowfly.tmpl -o imu-7.cfg",
     ),
 )
-@click.argument("calibration", type=ask.FILE)
-@ask.option("--to", "Format of the file, see below.", type=_Target())
-@ask.option("--template", "A template of your own instead.", type=ask.FILE)
-@ask.out("File to write.", required=True)
-@ask.option("--noise", "kalibr: noise from this session's longest rest.", metavar="SESSION", type=ask.PATH)
-@ask.CERTIFICATE
-@ask.option("--imu", "px4, ardupilot, also thermal: of the N-th IMU, from 1.", metavar="N", type=int)
-@ask.option(
+@click.argument("calibration", type=params.FILE)
+@params.option("--to", "Format of the file, see below.", type=_Target())
+@params.option("--template", "A template of your own instead.", type=params.FILE)
+@params.out("File to write.", required=True)
+@params.option("--noise", "kalibr: noise from this session's longest rest.", metavar="SESSION", type=params.PATH)
+@params.CERTIFICATE
+@params.option("--imu", "px4, ardupilot, also thermal: of the N-th IMU, from 1.", metavar="N", type=int)
+@params.option(
     "--sensor-ids", "px4-thermal: the numbers in CAL_ACC0_ID and CAL_GYRO0_ID.", metavar="ACCEL,GYRO", type=_IDS
 )
-@ask.option(
+@params.option(
     "--counts",
     "iNav, Betaflight, …: counts a g and a °/s; default: the recording's.",
     metavar="ACCEL,GYRO",
     type=_COUNTS,
 )
-@ask.force()
+@params.force()
 def export(calibration: Path, to: str | None, template: Path | None, out: Path, force: bool, **options: Any) -> None:
     """Write CALIBRATION, a calibration file, in the format of another program.
 
@@ -108,6 +108,6 @@ def export(calibration: Path, to: str | None, template: Path | None, out: Path, 
     exported = export_calibration(calibration, to, template=template, **options)
     with whole_file(out) as temporary:
         temporary.write_bytes(exported.content)
-    tell.say(f"written to {out}")
+    console.say(f"written to {out}")
     for loss in exported.losses:
-        tell.say(f"note: {loss}")
+        console.say(f"note: {loss}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands import ask, tell
+from tumble.commands import console, params
 from tumble.errors import InputError
 from tumble.usual_setup import BY_HAND, HEIGHT, LATITUDE_DEG, ON_TABLE, PROGRAMME
 from tumble.usual_setup import SAMPLE_RATE as USUAL_SAMPLE_RATE
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from tumble.simulation.session import LogFormat
 
 
-@click.command(epilog=ask.examples("tumble programme cube-26 -o sheet.html"))
-@click.argument("name", metavar="[NAME]", required=False, shell_complete=ask.programmes_like)
-@ask.option("--attitude/attitudes", "Instead of NAME: a position's attitude code; repeat.", multiple=True)
-@ask.PACE
-@ask.out("Write the sheet with a picture of each position: .html, .pdf or .svg.")
-@ask.option("--serial", "Of the device, on the sheet; default: a line for it.")
-@ask.option("--number", "Of the sheet, likewise.")
-@ask.option("--revision", "Of the sheet, likewise.")
+@click.command(epilog=params.examples("tumble programme cube-26 -o sheet.html"))
+@click.argument("name", metavar="[NAME]", required=False, shell_complete=params.programmes_like)
+@params.option("--attitude/attitudes", "Instead of NAME: a position's attitude code; repeat.", multiple=True)
+@params.PACE
+@params.out("Write the sheet with a picture of each position: .html, .pdf or .svg.")
+@params.option("--serial", "Of the device, on the sheet; default: a line for it.")
+@params.option("--number", "Of the sheet, likewise.")
+@params.option("--revision", "Of the sheet, likewise.")
 def programme(
     name: str | None, attitudes: tuple[str, ...], rest: float, turn_rate: float, out: Path | None, **sheet: str | None
 ) -> None:
@@ -45,31 +45,29 @@ def programme(
     if out is not None:
         words: dict[str, Any] = {key: value or "" for key, value in sheet.items()}
         write_sheet(out, listed, rest=rest, rate=turn_rate * DEGREE, **words)
-        tell.say(f"written to {out}")
+        console.say(f"written to {out}")
     print_blocks(*blocks)
 
 
 @click.command(
-    epilog=ask.examples(
+    epilog=params.examples(
         "tumble plan nine --grade mems", "tumble plan --want accel.scale=6ppm", "tumble plan --pivot 120s --grade mems"
     )
 )
-@click.argument("programme", default=PROGRAMME, shell_complete=ask.programmes_like)
-@ask.option("--attitude/attitudes", "Instead of PROGRAMME: an attitude code; repeat.", multiple=True)
-@ask.method(
+@click.argument("programme", default=PROGRAMME, shell_complete=params.programmes_like)
+@params.option("--attitude/attitudes", "Instead of PROGRAMME: an attitude code; repeat.", multiple=True)
+@params.method(
     ["joint", "sequential", "scalar"], "joint", "Joint: what `calibrate` will state; the others: formulas of the paper."
 )
-@ask.terms("full")
-@ask.option("--iterations", "Passes of sequential and scalar.", 2, type=click.IntRange(1, 5))
-@ask.SETUP
-@ask.WANT
+@params.terms("full")
+@params.option("--iterations", "Passes of sequential and scalar.", 2, type=click.IntRange(1, 5))
+@params.SETUP
+@params.WANT
 @click.option("--sources", is_flag=True, help="Show u by source.")
 @click.option("--accel-only", is_flag=True, help="Accelerometers alone, without gyros and turns.")
-@ask.option("--axes", "Turns about these alone, the device staying as it is mounted.", metavar="N,U,E")
-@ask.option("--pivot", "Instead of PROGRAMME: so long on a tripod head or ball joint, no rests.", metavar="SECONDS")
-@ask.option("--hand", "Instead of PROGRAMME: so long in the hand, no rests.", metavar="SECONDS")
-@ask.option("--step", "Where the table stops: multiples, °.", 45.0, type=float)
-@ask.JSON
+@params.option("--pivot", "Instead of PROGRAMME: so long on a tripod head or ball joint, no rests.", metavar="SECONDS")
+@params.option("--hand", "Instead of PROGRAMME: so long in the hand, no rests.", metavar="SECONDS")
+@params.JSON
 def plan(
     programme: str,
     attitudes: tuple[str, ...],
@@ -79,25 +77,22 @@ def plan(
     wanted: tuple[str, ...],
     sources: bool,
     accel_only: bool,
-    axes: str | None,
-    step: float,
     pivot: str | None,
     hand: str | None,
     **options: Any,
 ) -> None:
     """The u that a calibration by PROGRAMME will state, the best next positions, and what a wanted accuracy needs."""
     from tumble.planning.in_motion import motion_of
-    from tumble.planning.next_positions import TurnTable
     from tumble.planning.plan import plan
     from tumble.planning.setup import wanted_accuracies
     from tumble.programme.positions import from_attitudes
     from tumble.views.planning import plan_blocks
 
-    setup = ask.setup_of(options | {"programme": programme})
+    setup = params.setup_of(options | {"programme": programme})
     if attitudes:
         setup = replace(setup, programme=from_attitudes(attitudes))
-    accuracies, table = wanted_accuracies(wanted), TurnTable.of(axes, step, setup.programme)
-    with tell.working("planning") as progress:
+    accuracies = wanted_accuracies(wanted)
+    with console.working("planning") as progress:
         found = plan(
             setup,
             method=method,
@@ -105,38 +100,37 @@ def plan(
             iterations=iterations,
             wanted=accuracies,
             gyros=not accel_only,
-            table=table,
             motion=motion_of(pivot, hand),
             progress=progress,
         )
-    tell.show(found, lambda: plan_blocks(found, sources=sources))
+    console.show(found, lambda: plan_blocks(found, sources=sources))
     for remark in found.remarks:
-        tell.say(f"note: {remark}")
-    tell.end(found.reasons)
+        console.say(f"note: {remark}")
+    console.end(found.reasons)
 
 
-@click.command(epilog=ask.examples("tumble simulate launch --programme rough-table --seed 1"))
-@click.argument("folder", type=ask.PATH)
-@ask.programme("Built-in programme to go through.", PROGRAMME)
-@ask.option("--positions", "Hand-held instead: this many positions in any attitude.", type=int)
-@ask.grade()
-@ask.option("--rest", f"Duration of a rest, s; default {ON_TABLE.rest:g}, by hand {BY_HAND.rest:g}.", type=float)
-@ask.option(
+@click.command(epilog=params.examples("tumble simulate launch --programme rough-table --seed 1"))
+@click.argument("folder", type=params.PATH)
+@params.programme("Built-in programme to go through.", PROGRAMME)
+@params.option("--positions", "Hand-held instead: this many positions in any attitude.", type=int)
+@params.grade()
+@params.option("--rest", f"Duration of a rest, s; default {ON_TABLE.rest:g}, by hand {BY_HAND.rest:g}.", type=float)
+@params.option(
     "--turn-rate",
     f"Rate of the turns, °/s; default {ON_TABLE.rate_deg_s:g}, by hand {BY_HAND.rate_deg_s:g}.",
     type=float,
 )
-@ask.option(ask.SAMPLE_RATE[0], f"{ask.SAMPLE_RATE[1]}; default {USUAL_SAMPLE_RATE:g}.", type=float)
-@ask.TABLE_ERROR
-@ask.MOUNTING_ERROR
-@ask.SITE_LATITUDE
-@ask.terms("linear")
-@ask.NOISELESS
-@ask.option("--vibration", "Vibration throughout, m/s² at Hz, e.g. 0.05@30.", metavar="AMPLITUDE@HZ")
-@ask.option("--temperature", "A thermometer, °C: 25, -10:60, -10:60:-10 or 22+15@600 (s).", metavar="PROFILE")
-@ask.option("--format/log_format", "Of the log.", "parquet", type=click.Choice(["csv", "parquet", "counts"]))
-@ask.option("--seed", "Number of the device.", 0, type=click.IntRange(min=0))
-@ask.option("--launch", "Launch of that device.", 1, type=click.IntRange(min=0))
+@params.option(params.SAMPLE_RATE[0], f"{params.SAMPLE_RATE[1]}; default {USUAL_SAMPLE_RATE:g}.", type=float)
+@params.TABLE_ERROR
+@params.MOUNTING_ERROR
+@params.SITE_LATITUDE
+@params.terms("linear")
+@params.NOISELESS
+@params.option("--vibration", "Vibration throughout, m/s² at Hz, e.g. 0.05@30.", metavar="AMPLITUDE@HZ")
+@params.option("--temperature", "A thermometer, °C: 25, -10:60, -10:60:-10 or 22+15@600 (s).", metavar="PROFILE")
+@params.option("--format/log_format", "Of the log.", "parquet", type=click.Choice(["csv", "parquet", "counts"]))
+@params.option("--seed", "Number of the device.", 0, type=click.IntRange(min=0))
+@params.option("--launch", "Launch of that device.", 1, type=click.IntRange(min=0))
 def simulate(
     folder: Path,
     vibration: str | None,
@@ -151,17 +145,17 @@ def simulate(
     from tumble.simulation.session import simulate_session, vibration_of
     from tumble.simulation.temperature_profile import temperature_profile
 
-    setup = ask.setup_of(options)
+    setup = params.setup_of(options)
     shaken = vibration_of(vibration) if vibration else NO_VIBRATION
     profile = temperature_profile(temperature) if temperature else None
     written = simulate_session(
         folder, setup, seed=seed, launch=launch, vibration=shaken, temperature=profile, log_format=log_format
     )
-    tell.say(f"written to {written}")
+    console.say(f"written to {written}")
 
 
-@click.command(epilog=ask.examples("tumble example first"))
-@click.argument("folder", type=ask.PATH)
+@click.command(epilog=params.examples("tumble example first"))
+@click.argument("folder", type=params.PATH)
 def example(folder: Path) -> None:
     """Write an example into FOLDER: a log in counts as a cheap logger writes it, and truth.json with its true values.
 
@@ -173,5 +167,5 @@ def example(folder: Path) -> None:
     setup = Setup.of(grade="mems", positions=30, sample_rate=100.0, terms="full")
     simulate_session(folder, setup, seed=7, log_format="counts")
     log = folder / "log.csv"
-    tell.say(f"written to {log} and {folder / 'truth.json'}")
-    tell.say(f"next: tumble calibrate {log} --latitude {LATITUDE_DEG:g} --height {HEIGHT:g}")
+    console.say(f"written to {log} and {folder / 'truth.json'}")
+    console.say(f"next: tumble calibrate {log} --latitude {LATITUDE_DEG:g} --height {HEIGHT:g}")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from tumble.commands import ask, tell
+from tumble.commands import console, params
 from tumble.errors import GyrosAloneError, InputError
 
 if TYPE_CHECKING:
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from tumble.run.gyros_alone import GyroRests
 
 
-@click.command(epilog=ask.examples("tumble new imu-7 LOG0007.TXT --latitude 56.84 --serial A-7"))
-@click.argument("folder", type=ask.PATH)
-@click.argument("more", metavar="[LOG]...", nargs=-1, type=ask.PATH)
-@ask.option("--log", "The recording: a log, a folder, a pattern, a bag.", type=ask.PATH, multiple=True)
-@ask.LOG
-@ask.programme("Built-in programme that was gone through.")
-@ask.option("--message", "Topic or message of a recording, where there are several.", metavar="NAME")
+@click.command(epilog=params.examples("tumble new imu-7 LOG0007.TXT --latitude 56.84 --serial A-7"))
+@click.argument("folder", type=params.PATH)
+@click.argument("more", metavar="[LOG]...", nargs=-1, type=params.PATH)
+@params.option("--log", "The recording: a log, a folder, a pattern, a bag.", type=params.PATH, multiple=True)
+@params.LOG
+@params.programme("Built-in programme that was gone through.")
+@params.option("--message", "Topic or message of a recording, where there are several.", metavar="NAME")
 def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: Any) -> None:
     """Write a commented session.toml for a log into FOLDER, and say what was guessed.
 
@@ -37,28 +37,27 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
 
     if not log and not more:
         raise click.UsageError("Missing argument 'LOG': the recording")
-    given = ask.given_of(options)
-    draft, faults = new_session(folder, [*log, *more], given, progress=tell.with_progress)
+    given = params.given_of(options)
+    draft, faults = new_session(folder, [*log, *more], given, progress=console.with_progress)
     for sentence in draft.remarks:
-        tell.say(sentence)
+        console.say(sentence)
     for fault in faults:
-        tell.warn(f"look at this: {fault}")
-    told = {"the serial number": given.serial, "the place": given.latitude}
-    missing = [what for what, value in told.items() if value is None]
-    tell.say(f"written to {folder / 'session.toml'}" + (f"; fill in {' and '.join(missing)}" if missing else ""))
+        console.warn(f"look at this: {fault}")
+    stated = {"the serial number": given.serial, "the place": given.latitude}
+    missing = [what for what, value in stated.items() if value is None]
+    console.say(f"written to {folder / 'session.toml'}" + (f"; fill in {' and '.join(missing)}" if missing else ""))
     if draft.doubts:
-        tell.answer(f"doubt: {'; '.join(draft.doubts)}")
+        console.answer(f"doubt: {'; '.join(draft.doubts)}")
 
 
 @contextmanager
 def session_folders(
     recordings: Sequence[Path], options: dict[str, Any], *, every: bool = False
 ) -> Iterator[Sequence[Path]]:
-    """The folders of sessions. A log, which is a file that is no session.toml or a folder of files without one, or what
-    `options` of `ask.LOG` are given with, has that of the session that is made of it beside it; where the block fails
-    it is there no more.
+    """Yield the folders of sessions; for a log that of the session made from it, which is removed if the block fails.
 
-    `every`: say how each part of the session came about."""
+    A log is a file that is no session.toml, a folder of files without one, or anything given with `options` of
+    `params.LOG`. With `every`, notes on how each part of the session was determined are printed."""
     first, stated = recordings[0], any(value is not None for value in options.values())
     if not stated and (len(recordings) > 1 or not _is_log(first)):
         yield recordings
@@ -70,17 +69,17 @@ def session_folders(
         )
     from tumble.drafting.made_session import session_of_log
 
-    with session_of_log(first, ask.given_of(options), tell.with_progress) as (folder, state, said, faults):
-        for sentence in said if every else ():
-            tell.say(sentence)
+    with session_of_log(first, params.given_of(options), console.with_progress) as (folder, state, sentences, faults):
+        for sentence in sentences if every else ():
+            console.say(sentence)
         for fault in faults:
-            tell.warn(f"look at this: {fault}")
-        tell.say(state)
+            console.warn(f"look at this: {fault}")
+        console.say(state)
         yield [folder]
 
 
 def check_recordings(recordings: Sequence[Path]) -> None:
-    """Raises InputError for a calibration file, and for a log among several recordings, which have to be sessions."""
+    """Raise InputError for a calibration file, and for a log among several recordings."""
     for path in recordings:
         if path.suffix == ".json" and path.is_file():
             with path.open("rb") as file:
@@ -94,7 +93,7 @@ def check_recordings(recordings: Sequence[Path]) -> None:
 
 
 def _is_log(path: Path) -> bool:
-    """Whether a path is that of a log, a pattern of files, or a folder of files without a session.toml."""
+    """Return True for the path of a log, a pattern of files, or a folder of files without a session.toml."""
     if path.is_dir():
         return not (path / "session.toml").exists() and any(each.is_file() for each in path.iterdir())
     files = [path] if path.exists() else path.parent.glob(path.name) if set(path.name) & set("*?[") else []
@@ -102,7 +101,7 @@ def _is_log(path: Path) -> bool:
 
 
 def gyros_of(log: Path, given: Given) -> GyroRests:
-    """The rests of a log of gyros alone."""
+    """Find the rests of a log of gyros alone."""
     from tempfile import TemporaryDirectory
 
     from tumble.recording.session_file import session_of_gyros
@@ -113,14 +112,14 @@ def gyros_of(log: Path, given: Given) -> GyroRests:
         content: dict[str, Any] = dict(draft.content)
         content["device"] = {"serial": given.serial or log.stem}
         content["log"] = dict(content["log"]) | ({"doubt": "; ".join(draft.doubts)} if draft.doubts else {})
-        return gyro_rests(session_of_gyros(content), tell.with_progress)
+        return gyro_rests(session_of_gyros(content), console.with_progress)
 
 
-@click.command(epilog=ask.examples("tumble inspect imu-7", "tumble inspect LOG0007.TXT --latitude 56.84"))
-@click.argument("recording", metavar="SESSION|LOG", type=ask.PATH)
-@ask.LOG
-@ask.option("--plot/picture", "Draw the recording with its rests into .svg, .png or .pdf.", type=ask.FILE)
-@ask.JSON
+@click.command(epilog=params.examples("tumble inspect imu-7", "tumble inspect LOG0007.TXT --latitude 56.84"))
+@click.argument("recording", metavar="SESSION|LOG", type=params.PATH)
+@params.LOG
+@params.option("--plot/picture", "Draw the recording with its rests into .svg, .png or .pdf.", type=params.FILE)
+@params.JSON
 def inspect(recording: Path, picture: Path | None, **options: Any) -> None:
     """Show the rests and turns found in SESSION or in LOG, of gyros alone too, and what was rejected and why.
 
@@ -132,39 +131,35 @@ def inspect(recording: Path, picture: Path | None, **options: Any) -> None:
     stated = dict(options)
     try:
         with session_folders([recording], options) as (folder,):
-            observed = inspect_session(folder, progress=tell.with_progress)
+            observed = inspect_session(folder, progress=console.with_progress)
     except GyrosAloneError:
         from tumble.views.inspection import gyro_blocks
 
-        found = gyros_of(recording, ask.given_of(stated))
-        tell.show(found.segmentation, lambda: gyro_blocks(found))
+        found = gyros_of(recording, params.given_of(stated))
+        console.show(found.segmentation, lambda: gyro_blocks(found))
         sys.exit(0)
     if picture is not None:
         plot(observed, picture)
-        tell.say(f"written to {picture}")
+        console.say(f"written to {picture}")
     doubt = observed.session.log.doubt
-    tell.show(observed, lambda: [*inspection_blocks(observed), *[f"doubt: {doubt}"] * bool(doubt)])
+    console.show(observed, lambda: [*inspection_blocks(observed), *[f"doubt: {doubt}"] * bool(doubt)])
     for fault in (*observed.faults, *observed.gyro_faults, *observed.gyro_bias_faults):
-        tell.warn(f"fault: {fault}")
+        console.warn(f"fault: {fault}")
     sys.exit(1 if observed.faults else 0)
 
 
 @click.command(
-    epilog=ask.examples(
+    epilog=params.examples(
         "tumble noise imu-7",
         "tumble noise still.csv --accel ax,ay,az --gyro gx,gy,gz --sample-rate 100",
         "tumble noise monday tuesday wednesday",
     )
 )
-@click.argument("recordings", metavar="SESSION|LOG...", type=ask.PATH, nargs=-1, required=True)
-@ask.option("--plot/picture", "Draw the Allan deviations into this .svg, .png or .pdf.", type=ask.FILE)
-@ask.COLUMNS
-@ask.JSON
-def noise(
-    recordings: tuple[Path, ...],
-    picture: Path | None,
-    **options: Any,
-) -> None:
+@click.argument("recordings", metavar="SESSION|LOG...", type=params.PATH, nargs=-1, required=True)
+@params.option("--plot/picture", "Draw the Allan deviations into this .svg, .png or .pdf.", type=params.FILE)
+@params.COLUMNS
+@params.JSON
+def noise(recordings: tuple[Path, ...], picture: Path | None, **options: Any) -> None:
     """Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest.
 
     LOG is a log in any dialect, of gyros alone too, or a folder of files: its columns, units and times are found as
@@ -180,26 +175,27 @@ def noise(
         found = noise_of(*recordings)
     else:
         with TemporaryDirectory() as folder:
-            drafts = _drafts(recordings, Path(folder), ask.given_of(options))
+            drafts = _drafts(recordings, Path(folder), params.given_of(options))
             layout = {key: value for key, value in drafts[0].log.items() if key != "file"}
             files = [file for draft in drafts for file in draft.files]
             found = noise_of(*files, layout=layout)
         for sentence in drafts[0].remarks:
-            tell.say(sentence)
+            console.say(sentence)
     if picture is not None:
         plot(found.panels, picture)
-        tell.say(f"written to {picture}")
-    tell.show(found, lambda: noise_blocks(found))
+        console.say(f"written to {picture}")
+    console.show(found, lambda: noise_blocks(found))
 
 
 def _drafts(recordings: Sequence[Path], folder: Path, given: Given) -> list[Draft]:
-    """What logs are, of gyros alone too, with copies where need be in a folder: each a record of its own, or one where
-    some are of accelerometers and others of gyros."""
+    """Return a draft for each log, or one for all if some have accelerometers and others gyros.
+
+    Copies are written into the folder if needed."""
     from tumble.drafting.new_session import drafted_log
     from tumble.files import OutputFolder
 
     def drafted(name: str, logs: Sequence[Path]) -> Draft:
-        draft, _ = drafted_log(OutputFolder(folder / name), logs, given, tell.with_progress, gyros_suffice=True)
+        draft, _ = drafted_log(OutputFolder(folder / name), logs, given, console.with_progress, gyros_suffice=True)
         if draft.rate_guessed:
             raise InputError(f"{logs[0]}: expected a time column (--time) or the rate (--sample-rate), found neither")
         return draft

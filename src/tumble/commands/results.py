@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from tumble.commands import ask, tell
+from tumble.commands import console, params
 from tumble.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,30 +16,27 @@ if TYPE_CHECKING:
 
 
 @click.command(
-    epilog=ask.examples(
+    epilog=params.examples(
         "tumble check imu-7/calibration.json today",
         "tumble check imu-7/calibration.json positions.csv",
         "tumble check imu-7/calibration.json --listen serial:/dev/ttyUSB0:115200",
     )
 )
-@click.argument("calibration", type=ask.FILE)
-@click.argument("readings", type=ask.PATH, required=False)
-@ask.option("--listen", "Check with a stream instead: file:LOG.csv, stdin, udp:PORT, serial:DEVICE:BAUD, …")
-@ask.option("--session", "Session that describes columns and units of a stream that does not send SI.", type=ask.PATH)
-@ask.registry("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
-@ask.JSON
+@click.argument("calibration", type=params.FILE)
+@click.argument("readings", type=params.PATH, required=False)
+@params.option("--listen", "Check with a stream instead: file:LOG.csv, stdin, udp:PORT, serial:DEVICE:BAUD, …")
+@params.option(
+    "--session", "Session that describes columns and units of a stream that does not send SI.", type=params.PATH
+)
+@params.registry("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
+@params.JSON
 def check(
-    calibration: Path,
-    readings: Path | None,
-    listen: str | None,
-    session: Path | None,
-    registry: str | None,
+    calibration: Path, readings: Path | None, listen: str | None, session: Path | None, registry: str | None
 ) -> None:
     """Test whether CALIBRATION still holds for its device, and what has changed.
 
     READINGS are a session with three or more rests in any attitude, or a table of readings at rest. Each rest is
-    compared with gravity, and the rests and turns of a session test every parameter. The readings of the calibration
-    itself are left out in turn.
+    compared with gravity, and the rests and turns of a session test every parameter.
 
     A stream is checked rest by rest until it ends or is stopped with Ctrl-C. CALIBRATION is never changed.
 
@@ -61,39 +58,38 @@ def check(
         assert readings is not None
         launches: tuple[LaunchVariances, ...] = ()
         if registry is not None:
-            with ask.opened(registry) as opened:
+            with params.opened(registry) as opened:
                 launches = opened.launches(read_session(readings).device.serial)
         found = check_calibration(calibration, readings, launches=launches)
     else:
         found = check_stream(calibration, listen, session=session, show=_show)
-    if tell.as_json() and listen is not None:
-        tell.print_json({"event": "check", **as_json(found)})
+    if console.as_json() and listen is not None:
+        console.print_json({"event": "check", **as_json(found)})
     else:
-        tell.show(found, lambda: check_blocks(found, rests=listen is None))
+        console.show(found, lambda: check_blocks(found, rests=listen is None))
     for note in found.notes:
-        tell.say(f"note: {note}")
-    tell.end(found.reasons, "changed: ")
+        console.say(f"note: {note}")
+    console.end(found.reasons, "changed: ")
 
 
 def _show(event: Event) -> None:
-    """Print a rest of a stream, or a notice, at once."""
     from tumble.documents import as_json
     from tumble.use.check import CheckedRest
     from tumble.views.checks import event_line, moved_line
 
     rest = event if isinstance(event, CheckedRest) else None
-    if tell.as_json():
-        tell.print_json({"event": "notice" if rest is None else "rest", **as_json(event)})
+    if console.as_json():
+        console.print_json({"event": "notice" if rest is None else "rest", **as_json(event)})
     else:
         click.echo(event_line(event))
     for moved in () if rest is None or rest.judged is None else rest.judged.moved:
-        tell.warn(f"moved: {moved_line(moved)}")
+        console.warn(f"moved: {moved_line(moved)}")
 
 
-@click.command(epilog=ask.examples("tumble compare last-year.json imu-7/calibration.json"))
-@click.argument("first", type=ask.FILE)
-@click.argument("second", type=ask.FILE)
-@ask.JSON
+@click.command(epilog=params.examples("tumble compare last-year.json imu-7/calibration.json"))
+@click.argument("first", type=params.FILE)
+@click.argument("second", type=params.FILE)
+@params.JSON
 def compare(first: Path, second: Path) -> None:
     """Differences of two calibration files in units of their combined uncertainty, and E_n numbers.
 
@@ -103,19 +99,19 @@ def compare(first: Path, second: Path) -> None:
     from tumble.views.checks import comparison_blocks
 
     found = compare_calibrations(first, second)
-    tell.show(found, lambda: comparison_blocks(found))
+    console.show(found, lambda: comparison_blocks(found))
     for remark in found.remarks:
-        tell.say(f"note: {remark}")
+        console.say(f"note: {remark}")
     if found.missing:
-        tell.say(f"note: only one of them has {', '.join(found.missing)}")
-    tell.end(found.reasons, "different: ")
+        console.say(f"note: only one of them has {', '.join(found.missing)}")
+    console.end(found.reasons, "different: ")
 
 
-@click.command(epilog=ask.examples("tumble apply imu-7/calibration.json flight-12 -o corrected.parquet"))
-@click.argument("calibration", type=ask.FILE)
-@click.argument("session", type=ask.PATH)
-@ask.out("File to write: .csv or .parquet.", required=True)
-@ask.force()
+@click.command(epilog=params.examples("tumble apply imu-7/calibration.json flight-12 -o corrected.parquet"))
+@click.argument("calibration", type=params.FILE)
+@click.argument("session", type=params.PATH)
+@params.out("File to write: .csv or .parquet.", required=True)
+@params.force()
 def apply(calibration: Path, session: Path, out: Path, force: bool) -> None:
     """Correct the recording of SESSION with CALIBRATION, a calibration file of the same device.
 
@@ -123,10 +119,10 @@ def apply(calibration: Path, session: Path, out: Path, force: bool) -> None:
     is copied.
     """
     from tumble.recording.session_file import read_session
-    from tumble.use.apply import applied, apply_to_session
+    from tumble.use.apply import apply_to_session, correction_notes
 
     described = read_session(session)
     apply_to_session(calibration, described, out, force=force)
-    tell.say(f"written to {out}")
-    for sentence in applied(calibration, described):
-        tell.say(sentence)
+    console.say(f"written to {out}")
+    for sentence in correction_notes(calibration, described):
+        console.say(sentence)

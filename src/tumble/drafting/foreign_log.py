@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tumble.drafting.times import Stamps, Times, past_midnight, times_of_column, times_without_column
+from tumble.drafting.times import Stamps, Times, times_of_column, times_without_column
 from tumble.errors import GyrosAloneError, InputError, LogError, did_you_mean
 from tumble.recording.columns.names import (
     ACCEL,
@@ -28,6 +28,7 @@ from tumble.recording.columns.scales import CANDIDATES
 from tumble.recording.log_source import LogSource
 from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import is_reading
+from tumble.recording.rows.timed import past_midnight
 from tumble.recording.text.dialect import Dialect, is_clock
 from tumble.reduction.blocks.tuning import USUAL
 from tumble.units import Array

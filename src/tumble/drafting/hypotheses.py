@@ -259,7 +259,6 @@ class Hypothesis:
             ACCEL: self.accel != other.accel,
             GYRO: self.gyro != other.gyro,
             "time": self.times.keys != other.times.keys,
-            "axes": self.profile is not other.profile,
         }
         return {part for part, different in parts.items() if different}
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.foreign_log import HEAD_ROWS, SAMPLE_ROWS, ForeignLog
 from tumble.drafting.repairs import repair_log
 from tumble.drafting.sensors_apart import log_of_recording
+from tumble.drafting.times import times_of_column
 from tumble.errors import InputError, LogError, did_you_mean
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import programmes
@@ -44,6 +45,7 @@ from tumble.run.observed import Progress
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TEMPERATURE_UNITS
 
 _FAST_QUANTILE = 0.99  # of the magnitudes of the gyros, without single outliers
+_RATE_TOLERANCE = 0.01  # u of a sample rate without time stamps
 _MEAN_SECONDS, _FEWEST_MEANS, _GRAVITY_SHARE = 2.0, 3, 0.4
 """Means over so long, of which at least so many, keep more than this share of readings that contain gravity."""
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": (15e-6, 150e-6)}
@@ -220,9 +222,10 @@ def drafted_log(
 def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     """Return a draft from names and first numbers, with sensors as raw numbers."""
     columns, times = log.columns, log.times(rate)
-    remarks = list(log.remarks)
+    remarks, doubts = list(log.remarks), log.doubts
     if rate is not None and columns.time is not None:
         remarks.append(f"time: column {columns.time!r} is not used, since the rate was given")
+        doubts = (*doubts, *_contradicted_rate(log, rate))
     remarks += [f"also there, and not used: {', '.join(columns.others)}"] if columns.others else []
     triads = {kind: columns.triads[kind] for kind in (ACCEL, GYRO) if kind in columns.triads}
     head = {kind: log.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in triads.items()}
@@ -260,7 +263,7 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     return Draft(
         content={"format": 1, "device": {"serial": "unknown"}, "log": table},
         remarks=(*remarks, *magnetometer_remarks),
-        doubts=log.doubts,
+        doubts=doubts,
         magnetometer=magnetometer,
         triads=triads,
         times=times,
@@ -271,6 +274,20 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
         step=resolution_in_deg_s(head[GYRO]) if GYRO in triads and not whole[GYRO] else None,
         kept=log.kept,
     )
+
+
+def _contradicted_rate(log: ForeignLog, rate: float) -> Iterator[str]:
+    """Say that a stated sample rate, Hz, is not that of the log's own time column in any unit it may have."""
+    stamps = log.stamps()
+    times = None if stamps is None else times_of_column(stamps)
+    if stamps is None or times is None or (stamps.unit is None and np.median(np.diff(stamps.values)) == 1.0):
+        return  # no times, or a counter of samples
+    rates = [each.rate for each in (times, *times.rivals) if each.stamped]
+    if all(abs(shown - rate) > _RATE_TOLERANCE * rate for shown in rates):
+        yield (
+            f"--sample-rate {rate:g} is taken as stated, but the times in {stamps.column!r} show {rates[0]:.4g} per "
+            "second: the gyros' scale factors hang on it; leave --sample-rate out if the times are right"
+        )
 
 
 def _with_apple_sign(draft: Draft) -> Draft:

@@ -13,13 +13,14 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, count_samples
-from tumble.drafting.times import Stamps, grows_mostly, overflow_of, past_midnight, recordings_of, times_of_column
+from tumble.drafting.times import Stamps, grows_mostly, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, time_unit
 from tumble.recording.formats import TIME
 from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import GAP_STEP
+from tumble.recording.rows.timed import past_midnight
 from tumble.units import TIME_UNITS, Array
 
 _XSENS_TICK = 1e-4  # s, of SampleTimeFine

@@ -172,11 +172,6 @@ def grows_mostly(values: Array) -> bool:
     return bool(steps[steps > 0.0].sum() > _LEAST_GROWTH and np.mean(steps < 0.0) <= _FALLING_SHARE)
 
 
-def past_midnight(values: Array) -> Array:
-    """Return times of day, s, continued past midnight."""
-    return np.asarray(values + 86400.0 * np.cumsum(np.diff(values, prepend=values[:1]) < -43200.0))
-
-
 _OVERFLOWS = (3600.0, 65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
 """An hour, and 2^16, 2^24 and 2^32 in the unit of the stamps, in thousands or in millions of it."""
 _MOST_OVERFLOWS = 10_000

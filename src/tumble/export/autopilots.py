@@ -42,7 +42,7 @@ from tumble.export.exported import (
 from tumble.export.templates import front_of, render_layout
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
-from tumble.result.temperature_curves import Range, changing, measured_range, warm_rests
+from tumble.result.temperature_curves import Range, measured_range, rests_with_temperature, thermal_parameters
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import OVER_TEMPERATURE, group_name
 from tumble.units import DEGREE, TESLA, Array
@@ -204,7 +204,7 @@ def _shared_thermometers(pilot: Autopilot, calibration: Calibration, applied: Se
         if len(names) < 2:
             continue
         largest = 0.0
-        for rest in warm_rests(calibration):
+        for rest in rests_with_temperature(calibration):
             sensors = ((kind, getattr(rest, kind)) for kind in by_kind)
             deviations = [
                 np.array(at_rest.temperature) - calibration.compensator.reference(kind)
@@ -223,7 +223,7 @@ def _shared_thermometers(pilot: Autopilot, calibration: Calibration, applied: Se
 def temperature_range(calibration: Calibration, target: str) -> Range:
     """Return the temperatures at which a calibration was measured. Raises InputError if nothing changes over them."""
     measured = measured_range(calibration)
-    if calibration.reference_temperature is None or not changing(calibration):
+    if calibration.reference_temperature is None or not thermal_parameters(calibration):
         raise InputError(
             f"export to {target}: expected parameters that change with temperature, such as accel.bias.x.t1, found "
             "none; calibrate a session with a thermometer"

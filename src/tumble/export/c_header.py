@@ -32,8 +32,8 @@ from tumble.export.exported import Exported, example_line, models, notes_of, num
 from tumble.export.templates import render_layout
 from tumble.reduction.rests.thermometer import followed
 from tumble.result.calibration import Calibration
-from tumble.result.correction import beyond_linear, examples, over_temperature
-from tumble.result.temperature_curves import changing, measured_range, own_thermometers
+from tumble.result.correction import examples, nonlinear_tables, thermal_tables
+from tumble.result.temperature_curves import measured_range, thermal_parameters, thermometer_notes
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.sensors.parameters import OVER_TEMPERATURE
@@ -58,14 +58,14 @@ TRUE_QUANTITY: Mapping[SensorKind, str] = {"accel": "true specific force", "gyro
 def c_header(calibration: Calibration) -> Exported:
     """Return the header of a calibration."""
     by_kind, compensator = models(calibration), calibration.compensator
-    thermal = bool(changing(calibration)) and calibration.reference_temperature is not None
+    thermal = bool(thermal_parameters(calibration)) and calibration.reference_temperature is not None
     lags = {kind: lag for kind, lag in compensator.lags.items() if thermal and lag != 0.0 and kind in by_kind}
     held = HELD | (HELD_OVER_TEMPERATURE if thermal else frozenset()) | {f"{kind}.lag" for kind in lags}
     losses = notes_of(calibration, held=held)
     comments = origin(calibration)
     for kind, worked in examples(compensator, list(by_kind)).items():
         force = " in that specific force" if "accel" in by_kind else " without a specific force"
-        where = force if "by_force" in beyond_linear(compensator, kind) else ""
+        where = force if "by_force" in nonlinear_tables(compensator, kind) else ""
         comments.append(example_line(kind, worked.reading, worked.true, where=where))
     if thermal:
         measured = measured_range(calibration)
@@ -74,7 +74,7 @@ def c_header(calibration: Calibration) -> Exported:
             f"functions without a temperature are for {calibration.reference_temperature:g} degC; those in _at take "
             f"it, in degC{span}"
         )
-        comments += own_thermometers(calibration)
+        comments += thermometer_notes(calibration)
     readings = "; ".join(f"{celsius:g} after {seconds:g} s" for celsius, seconds in LAG_EXAMPLE)
     for kind, lag in lags.items():
         comments += [
@@ -120,14 +120,14 @@ def _function(
 ) -> dict[str, Any]:
     """Return the names in the layout of a function for one kind of sensor, in double or single precision; with the
     temperature of the sensors, if `at` is a calibration."""
-    number, n, beyond = "float" if single else "double", len(model.bias), beyond_linear(compensator, kind)
+    number, n, beyond = "float" if single else "double", len(model.bias), nonlinear_tables(compensator, kind)
     tables = {"bias": model.bias, "inverse": model.inverse()} | beyond
     by_force, apart, reference = "by_force" in beyond, False, ""
     needs = " and the true specific force, m/s^2" if by_force else ""
     argument = f"const {number} force[3], " if by_force else ""
     if at is not None:
         apart = len(set(at.temperature.thermometers.get(kind, ()))) > 1
-        warm = over_temperature(compensator, kind)
+        warm = thermal_tables(compensator, kind)
         reference = "reference[j]" if apart else f"({number}){float(warm['reference'][0])!r}"
         tables |= {name: table for name, table in warm.items() if apart or name != "reference"}
         needs += " and their temperatures, degC" if apart else " and a temperature, degC"

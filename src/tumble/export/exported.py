@@ -16,7 +16,7 @@ import numpy as np
 from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.result.calibration import Calibration
-from tumble.result.correction import errors_left, linear_model, session_rate
+from tumble.result.correction import best_linear_model, correction_errors, session_rate
 from tumble.sensors.model import UNITS, WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import (
     FORCE,
@@ -93,7 +93,7 @@ def triads(
                 f"export to {target}: expected three {kind} sensors, found {len(model.bias)}; c, csv and mat hold any "
                 "number"
             )
-    return {kind: linear_model(calibration, kind, held) for kind in by_kind}
+    return {kind: best_linear_model(calibration, kind, held) for kind in by_kind}
 
 
 def origin(calibration: Calibration) -> list[str]:
@@ -184,7 +184,7 @@ def table_notes(calibration: Calibration) -> tuple[str, ...]:
 def _largest_errors(calibration: Calibration, kind: SensorKind, correct: Correct, held: Container[str]) -> str:
     """Describe the errors of corrected readings at 1 g and at the rate of the session, at the reference temperature;
     empty if they are mere rounding."""
-    errors = errors_left(calibration, kind, correct, held)
+    errors = correction_errors(calibration, kind, correct, held)
     rate = session_rate(calibration)
     if errors.max() < ROUNDING * (G_STANDARD if kind == "accel" else rate):
         return ""

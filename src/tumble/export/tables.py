@@ -40,7 +40,7 @@ from tumble.export.exported import (
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.file import content_of
-from tumble.result.temperature_curves import Range, changing, curve, own_thermometers
+from tumble.result.temperature_curves import Range, temperature_curve, thermal_parameters, thermometer_notes
 from tumble.sensors.model import UNITS
 from tumble.sensors.parameters import THERMAL, group_name, groups, variable_of
 from tumble.units import Array
@@ -97,14 +97,14 @@ def csv_thermal(calibration: Calibration) -> Exported:
     by_kind = models(calibration)
     measured = temperature_range(calibration, "csv-thermal")
     celsius = _row_temperatures(measured, float(calibration.reference_temperature or 0.0))
-    curves = [curve(calibration, name, celsius) for name in changing(calibration)]
+    curves = [temperature_curve(calibration, name, celsius) for name in thermal_parameters(calibration)]
     thermal_groups = {group_name(p.name) for p in calibration.parameters if variable_of(group_name(p.name)) in THERMAL}
     errors, middle = dict.fromkeys(by_kind, 0.0), 0.5 * (celsius[1:] + celsius[:-1])  # of linear interpolation
     for each in curves:
         kind = next((kind for kind in by_kind if group_name(each.name) == f"{kind}.bias"), None)
         if kind is not None:
             interpolated = 0.5 * (each.value[1:] + each.value[:-1])
-            error = np.abs(interpolated - curve(calibration, each.name, middle).value).max()
+            error = np.abs(interpolated - temperature_curve(calibration, each.name, middle).value).max()
             errors[kind] = max(errors[kind], float(error))
     within = " and ".join(in_units(kind, error) for kind, error in errors.items())
     losses = notes_of(
@@ -118,7 +118,7 @@ def csv_thermal(calibration: Calibration) -> Exported:
         *origin(calibration),
         f"reference temperature {calibration.reference_temperature:g} degC; measured from {measured.low:.1f} to "
         f"{measured.high:.1f} degC, nothing is known outside",
-        *own_thermometers(calibration),
+        *thermometer_notes(calibration),
         *(
             example_line(kind, worked.reading, worked.true, where=f" at {warm!r} degC")
             for kind, worked in (

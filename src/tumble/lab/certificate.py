@@ -25,7 +25,7 @@ from tumble.documents import is_plain, shown, text_of_document, toml_of, validat
 from tumble.errors import InputError
 from tumble.lab.limits import Limits, Occasion, read_limits
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.further import recorded_on
+from tumble.result.further import recording_dates
 
 SCOPE_STATEMENT = (
     "This certificate relates only to the item described in it, in the state in which it was calibrated; it may be "
@@ -146,7 +146,7 @@ class Certificate(_CertificateTable):
         """Return the first and the last day of the calibration, by default those of the recordings.
 
         Raises InputError if neither is known."""
-        recorded = [date.fromisoformat(moment[:10]) for moment in recorded_on(calibration)]
+        recorded = [date.fromisoformat(moment[:10]) for moment in recording_dates(calibration)]
         begin = self.begin or (min(recorded) if recorded else self.end)
         end = self.end or (max(recorded) if recorded else self.begin)
         if begin is None or end is None:
@@ -182,7 +182,7 @@ def check_certificate(certificate: Certificate, calibration: Calibration) -> Cal
     for (earlier, first), (later, second) in pairwise(stated):
         if second < first:
             raise InputError(f"certificate: {later}: expected a day not before {earlier}, {first}, found {second}")
-    recordings = recorded_on(calibration)
+    recordings = recording_dates(calibration)
     for day in (date.fromisoformat(moment[:10]) for moment in recordings):
         if not begin <= day <= end:
             raise InputError(
@@ -200,7 +200,7 @@ def check_certificate(certificate: Certificate, calibration: Calibration) -> Cal
         )
     if as_found.provenance.log_sha256 == calibration.provenance.log_sha256 is not None:
         raise InputError(f"{expected} a calibration from before the adjustment, found one of the same recording")
-    before = recorded_on(as_found)
+    before = recording_dates(as_found)
     if before and recordings and max(before) > min(recordings):
         raise InputError(f"{expected} a recording from before that of the result, {recordings[0]}, found {before[-1]}")
     return as_found

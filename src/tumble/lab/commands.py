@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble import lab
-from tumble.commands import ask, tell
+from tumble.commands import console as tell
+from tumble.commands import params as ask
 from tumble.errors import InputError
 
 if TYPE_CHECKING:

@@ -39,7 +39,7 @@ from tumble.lab.conformity import DECISION_RULE, RISK_DEFINITION, Verdict, judge
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
-from tumble.result.further import described
+from tumble.result.further import parameter_words
 from tumble.result.parts import Parameter, stated_factor
 from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
@@ -189,7 +189,7 @@ def _parameter(parameter: Parameter, verdicts: Sequence[Verdict]) -> dict[str, A
         basis = known if dof is None else f"u was estimated with {dof:.3g} degrees of freedom"
     return {
         "name": parameter.name,
-        "words": "; ".join(filter(None, (described(parameter.name), basis))),
+        "words": "; ".join(filter(None, (parameter_words(parameter.name), basis))),
         "quantity": _real(parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter)),
         "statements": statements,
     }

@@ -152,7 +152,7 @@ def run_to_run(units: Sequence[Unit], name: str) -> float | None:
     """Return the standard deviation of a parameter between launches, SI; None if no unit has several."""
     launches = [u.launches for u in units if u.launches is not None and name in u.launches.variances]
     degrees = sum(each.degrees for each in launches)
-    return float(np.sqrt(sum(e.degrees * e.variances[name][0] for e in launches) / degrees)) if degrees else None
+    return float(np.sqrt(sum(e.degrees * e.variances[name] for e in launches) / degrees)) if degrees else None
 
 
 def prior_of(units: Sequence[Unit], model: str) -> DevicePrior:

@@ -1,7 +1,4 @@
-"""Half a calibration: the accelerometers or the gyros alone, where the others are not accepted.
-
-It is a calibration like that of a device which has no others. What is taken out is named in `absent`.
-"""
+"""The accepted part of a calibration: accelerometers or gyros alone if the others are not accepted."""
 
 from __future__ import annotations
 
@@ -27,8 +24,10 @@ _FITS: Mapping[SensorKind, tuple[str, ...]] = {
 
 
 def accepted_part(calibration: AnyCalibration, name: str | None = None) -> AnyCalibration:
-    """A calibration that is accepted, or that of its accelerometers or its gyros alone, where these are. Raises
-    CalibrationError where neither is, in which the calibration is called `name`."""
+    """Return a calibration as it is, or that of its accelerometers or gyros alone if only these are accepted.
+
+    What is left out is named in `provenance.absent`. Raises CalibrationError, which calls the calibration `name`, if
+    neither is accepted."""
     if calibration.outcome.accepted:
         return calibration
     kinds = accepted_kinds(calibration)
@@ -41,7 +40,7 @@ def accepted_part(calibration: AnyCalibration, name: str | None = None) -> AnyCa
 
 
 def accepted_kinds(calibration: CalibrationData) -> tuple[SensorKind, ...]:
-    """The kinds of sensors that a calibration has and whose values may be used."""
+    """Return the kinds of sensors of a calibration that are accepted."""
     outcome = calibration.outcome
     judged: tuple[tuple[SensorKind, SensorModel | None, Judgement], ...] = (
         ("accel", calibration.accel, outcome.accel),
@@ -51,7 +50,7 @@ def accepted_kinds(calibration: CalibrationData) -> tuple[SensorKind, ...]:
 
 
 def _alone(calibration: AnyCalibration, kind: SensorKind) -> AnyCalibration:
-    """The sensors of one kind, with what belongs to no kind."""
+    """Return the calibration without accelerometers or gyros, with all that is not of that kind."""
     other: SensorKind = "gyro" if kind == "accel" else "accel"
     outcome, prediction = calibration.outcome, calibration.prediction
     evidence, provenance = calibration.evidence, calibration.provenance

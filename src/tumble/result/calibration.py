@@ -1,8 +1,4 @@
-"""The calibration of a device: its data, and what a user asks of them, by the functions beside it.
-
-`tumble.result.file` reads and writes it by this description, `correction` corrects readings, `frames` turns it into
-other frames, `uncertainty_budget` says what u is made of.
-"""
+"""The calibration of a device: `Calibration` with its methods for users, and its file."""
 
 from __future__ import annotations
 
@@ -32,11 +28,7 @@ from tumble.result.file import (
     write_calibration,
 )
 from tumble.result.frames import calibration_in
-from tumble.result.parts import (
-    Evidence,
-    Provenance,
-    checked_result,
-)
+from tumble.result.parts import Evidence, Provenance, check_result
 from tumble.result.record import CalibrationData
 from tumble.result.uncertainty_budget import BudgetLine, uncertainty_budget
 from tumble.units import Array
@@ -70,7 +62,7 @@ class Calibration(CalibrationData):
     outcome : Outcome
         Whether the values may be used, and why not.
     groups : tuple of GroupFinding
-        What the session determines of each group of parameters beyond the linear model.
+        Findings on each group of parameters beyond the linear model.
     prediction : Prediction or None
         Standard uncertainties of corrected readings.
     axes : mapping of str to tuple
@@ -84,31 +76,30 @@ class Calibration(CalibrationData):
     """
 
     def __eq__(self, other: object) -> bool:
-        """Whether the calibration files of both are the same."""
+        """Return True if the calibration files of both are the same."""
         return self.content() == other.content() if isinstance(other, Calibration) else NotImplemented
 
     def __hash__(self) -> int:
-        """Hash of the device, the method, the frame and the log."""
+        """Return the hash of device, method, frame, log and time of computing."""
         return hash((self.serial, self.method, self.frame, self.provenance.log_sha256, self.provenance.created))
 
     @property
     def headline(self) -> str:
-        """The device, the method, how many parameters, and whether it was accepted, in a line."""
+        """Device, method, number of parameters and verdict in a line."""
         launches = self.evidence.launches
         several = f" of {len(launches)} launches" if launches else ""
         method = f"{self.method}{several}, {len(self.parameters)} parameters"
         return f"Calibration of {self.serial}: {method}, {self.outcome.verdict}"
 
     def __repr__(self) -> str:
-        """The headline."""
         return f"<{self.headline}>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the headline, the reasons and the table of parameters."""
+        """Return the headline, the reasons and the table of parameters for a notebook."""
         return str(_views().as_html(self))
 
     def uncertainty_budget(self, name: str) -> tuple[BudgetLine, ...]:
-        """Contributions to the u of a parameter by source, the largest first.
+        """Return the contributions to the u of a parameter by source, the largest first.
 
         Raises
         ------
@@ -120,13 +111,12 @@ class Calibration(CalibrationData):
         return uncertainty_budget(self, name)
 
     def table(self) -> str:
-        """Table of the parameters as plain text: values in the field's units with standard and expanded uncertainty,
-        and, if they have any, coverage factor, degrees of freedom, prior and learned fraction."""
+        """Return the table of the parameters as plain text, in the units of the field."""
         return str(_views().as_text(self))
 
     def to_polars(self) -> pl.DataFrame:
-        """The parameters as a polars frame, a row each, in SI: name, value, u, unit, deviation, run_to_run, and
-        the coverage factor k, dof, prior and learned."""
+        """Return the parameters as a polars frame in SI, with the columns name, value, u, unit, deviation, run_to_run,
+        k, dof, prior and learned."""
         import polars as pl
 
         schema = {name: pl.String if name in ("name", "unit") else pl.Float64 for name in _COLUMNS}
@@ -158,8 +148,8 @@ class Calibration(CalibrationData):
         Returns
         -------
         force : ndarray, shape (..., 3)
-            Specific force in the frame of the calibration, m/s², or its increments. If the calibration has no
-            accelerometers it is NaN, and their readings as they are serve for what gyros feel of it.
+            Specific force in the frame of the calibration, m/s², or its increments. Without accelerometers in the
+            calibration it is NaN, and their uncorrected readings serve for the g-sensitivity of gyros.
         rate : ndarray, shape (..., 3), or None
             Angular rate, rad/s, or its increments; None without readings of gyros.
 
@@ -168,8 +158,8 @@ class Calibration(CalibrationData):
         CalibrationError
             If neither accelerometers nor gyros were accepted; `compensator` corrects all the same.
         InputError
-            For another number of sensors, numbers that are not finite, intervals that are not positive, columns of a
-            frame in another unit, and temperatures that are not in kelvin.
+            If the number of sensors is another, numbers are not finite, intervals are not positive, columns of a frame
+            are in another unit, or temperatures are not in kelvin.
         """
         return corrected_readings(self, accel, gyro, dt=dt, temperature=temperature)
 
@@ -210,11 +200,11 @@ class Calibration(CalibrationData):
         write_calibration(self, path, force=force)
 
     def text(self) -> str:
-        """The text of the calibration file."""
+        """Return the text of the calibration file."""
         return text_of_calibration(self)
 
     def content(self) -> dict[str, Any]:
-        """What the calibration file holds, as JSON has it."""
+        """Return the content of the calibration file in the types of JSON."""
         return content_of(self)
 
 
@@ -229,11 +219,6 @@ def read_calibration(path: FilePath) -> Calibration:
     ----------
     path
         The file, as `Calibration.write` writes it.
-
-    Returns
-    -------
-    Calibration
-        The calibration.
 
     Raises
     ------
@@ -252,13 +237,12 @@ def read_calibration(path: FilePath) -> Calibration:
 
 
 def calibration_from(given: Calibration | FilePath) -> Calibration:
-    """A calibration as it is, or that of a file. Raises InputError for anything else."""
+    """Return a calibration as it is, or that of a file. Raises InputError for anything else."""
     return given if isinstance(given, Calibration) else calibration_of(*text_and_name(given))
 
 
 def text_and_name(given: Calibration | FilePath) -> tuple[str, str]:
-    """The text of a calibration file, or that a calibration in memory would have, and what it is called in messages.
-    Raises InputError for anything else."""
+    """Return the text of the file of a calibration, and its name for messages. Raises InputError for anything else."""
     if isinstance(given, Calibration):
         return given.text(), f"calibration of {given.serial}"
     if not isinstance(given, str | os.PathLike):
@@ -269,22 +253,21 @@ def text_and_name(given: Calibration | FilePath) -> tuple[str, str]:
 
 
 def _views() -> Any:
-    """What shows calibrations: a folder above this one, loaded when something is first shown."""
     return import_module("tumble.views.calibration")
 
 
 def _check_sensors(calibration: Any) -> None:
-    """Raises ValueError if parts of the record of a file, named by their keys, have different numbers of sensors."""
+    """Raise ValueError if parts of the record of a file, named by their keys, have different numbers of sensors."""
     launches = [(f"launches[{number}].rests", launch.rests) for number, launch in enumerate(calibration.launches, 1)]
-    warmth = calibration.temperature
+    temperature = calibration.temperature
     for kind in ("accel", "gyro"):
         model, readings = getattr(calibration, kind), calibration.readings.get(kind)
         parts: dict[str, Any] = {
             f"{kind}.bias": model and model.bias,
             f"axes.{kind}": calibration.axes.get(kind),
             f"readings.{kind}": readings and readings.columns,
-            f"temperature.thermometers.{kind}": warmth.thermometers.get(kind),
-            f"temperature.references.{kind}": warmth.references.get(kind),
+            f"temperature.thermometers.{kind}": temperature.thermometers.get(kind),
+            f"temperature.references.{kind}": temperature.references.get(kind),
         }
         for place, rests in (("rests", calibration.rests), *launches):
             for number, rest in enumerate(rests, 1):
@@ -298,24 +281,22 @@ def _check_sensors(calibration: Any) -> None:
 
 
 def calibration_of(text: str, name: str) -> Calibration:
-    """The calibration of the text of a file; in messages the file is called `name`."""
+    """Return the calibration from the text of a file, which messages call `name`."""
     return parsed(_file_record(), text, name, _calibration_of_record)
 
 
 @cache
 def _file_record() -> type:
-    """The flat record of a calibration file."""
     return file_record(Calibration, Evidence, Provenance)
 
 
 def json_schema() -> dict[str, Any]:
-    """The JSON Schema of a calibration file."""
+    """Return the JSON Schema of a calibration file."""
     return adapter_of(_file_record()).json_schema()
 
 
 def _calibration_of_record(read: Any) -> Calibration:
-    """The calibration of the record of a file. Raises ValueError if its parts contradict each other."""
-    _check_sensors(checked_result(read))
+    _check_sensors(check_result(read))
     flat = {key: getattr(read, key) for key in KEYS}
     flat["parameters"] = with_degrees(read.parameters, read.fits)
     flat["launches"] = tuple(replace(x, parameters=with_degrees(x.parameters, x.fits)) for x in read.launches)

@@ -1,28 +1,28 @@
-"""The correction of a calibration: as any program can apply it, by a formula with its numbers and a worked example; as
-a matrix and a bias alone, with the errors that these leave; and as it is computed here, by `Compensator`.
+"""Correction of readings by a calibration: as a formula for any program, as matrix and bias alone, and by
+`Compensator`.
 
-Of the sensors j of a kind, with readings y (n,), SI, x the specific force or the rate in the frame of the calibration,
-a_j the nominal axis of a sensor and s_j = a_j · x,
+For the sensors j of a kind, with readings y (n,), SI, let x be the specific force or the rate in the frame of the
+calibration, a_j the nominal axis of a sensor and s_j = a_j · x. The correction iterates
 
     x = inverse · (y − bias − terms(x))                                                                          (1)
     terms_j = quadratic_j · (x₁², x₁x₂, x₁x₃, x₂², x₂x₃, x₃²) + cubic_j s_j³ + asymmetry_j |s_j| + by_force_j · f
 
-from x = inverse · (y − bias), repeated. At d = T − reference, °C, the bias is greater by
-d (bias_slope + d (bias_curve + d bias_cube)), the cube where it is not zero, and what stands in the brackets is divided
-by 1 + d (scale_slope + d scale_curve), sensor by sensor. Lever arms and delays need the motion and are not in it.
+from terms = 0. At d = T − reference, °C, the bias of each sensor is greater by d (bias_slope + d (bias_curve + d
+bias_cube)), and the difference in parentheses is divided by 1 + d (scale_slope + d scale_curve). Lever arms and delays
+need the motion and are not in (1).
 
-A program that has matrix and bias alone is off by what the groups beyond the linear model add to a reading. Part of
-that a line fits too: a cubic term adds to the scale factor, a quadratic one to the bias. With the readings y of the
-whole model at the reference temperature, M and b minimise
+For a program that applies only matrix and bias, the best linear model also takes up part of the other groups: a cubic
+term adds to the scale factor, a quadratic one to the bias. With the readings y of the whole model at the reference
+temperature, M and b minimise
 
     Σ |y(f, 0) − M f − b|²           accelerometers, over all directions of f, |f| = g                           (2)
     Σ |y(±f, ω) − b₀ − M ω|²         gyros, over all directions of ω, at a third, two thirds and all of the rate  (3)
 
-b₀, the reading at rest in the mean over all attitudes, is kept: a fit that gives it away for the turns is off whenever
-the device rests. Lever arms, delays and temperatures need a motion or a warming and are in neither.
+b₀, the mean reading at rest over all attitudes, is held: a fit that trades it for the turns is wrong at every rest.
+Lever arms, delays and temperatures are in neither.
 
-Increments are divided by their interval, corrected and multiplied again: the mean over an interval is taken for what
-the sensor felt in all of it.
+Increments are divided by their interval, corrected and multiplied again, as if the sensor had felt the mean over the
+interval in all of it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from tumble.inference.prediction import directions
 from tumble.recording.arrays import Temperatures, celsius_of, check_kinds, numbers_of
 from tumble.result.accepted import accepted_kinds
 from tumble.result.record import CalibrationData
-from tumble.result.temperature_curves import changing
+from tumble.result.temperature_curves import thermal_parameters
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import functions, is_linear
 from tumble.sensors.model import UNITS, Block, SensorKind, SensorModel
@@ -49,28 +49,28 @@ from tumble.units import DEGREE, G_STANDARD, Array
 # -------------------- as a matrix and a bias --------------------
 
 
-USUAL_RATE = 100.0 * DEGREE
-"""rad/s, where a calibration does not say how fast its turns were."""
+USUAL_RATE = 100.0 * DEGREE  # rad/s, for calibrations without the rate of their turns
 UP, DENSE = (np.concatenate([half, -half]) for half in (directions(), np.concatenate([np.eye(3), directions(1000)])))
-"""Unit vectors (N, 3) over the sphere, each with its opposite: for a fit, and for the largest error."""
+"""Unit vectors (N, 3) over the sphere, each with its opposite: for fits, and for the largest error."""
 
 
 def session_rate(calibration: CalibrationData) -> float:
-    """The rate of the turns of a session, or a usual one, rad/s."""
+    """Return the rate of the turns of a session, or a usual one, rad/s."""
     prediction = calibration.prediction
     return USUAL_RATE if prediction is None or prediction.at_rate is None else prediction.at_rate
 
 
 def readings_at(calibration: CalibrationData, kind: SensorKind, force: Array, rate: Array) -> Array:
-    """Readings (N, n), SI, by the whole model at specific forces (N, 3), m/s², and rates (N, 3), rad/s."""
+    """Return readings (N, n), SI, by the whole model at specific forces (N, 3), m/s², and rates (N, 3), rad/s."""
     block, K = calibration.compensator.sensors(kind)
     assert block is not None
     return np.asarray(np.einsum("npb,pb->np", functions(block, force, rate), K, optimize=True))
 
 
-def linear_model(calibration: CalibrationData, kind: SensorKind, held: Container[str] = ()) -> SensorModel:
-    """Matrix and bias that fit the whole model of "accel" or "gyro" best: those of the calibration where it has no
-    other groups. Groups beyond the linear model that are `held`, which a program applies itself, are not fitted."""
+def best_linear_model(calibration: CalibrationData, kind: SensorKind, held: Container[str] = ()) -> SensorModel:
+    """Return matrix and bias that fit the whole model of "accel" or "gyro" best, Eq. (2) and (3).
+
+    Groups beyond the linear model that are `held`, because a program applies them itself, are not fitted."""
     model = calibration.accel if kind == "accel" else calibration.gyro
     assert model is not None
     fitted = _without(calibration, held)
@@ -84,17 +84,18 @@ def linear_model(calibration: CalibrationData, kind: SensorKind, held: Container
     at_rest = fitted.compensator.gyro_coefficients[:, CONSTANT]  # Eq. (3)
     rates = session_rate(calibration) * np.concatenate([UP / 3.0, UP / 1.5, UP])[:, [1, 2, 0]]
     force = G_STANDARD * np.tile(UP, (3, 1))
-    both = 0.5 * (readings_at(fitted, kind, force, rates) + readings_at(fitted, kind, -force, rates))
-    matrix = np.asarray(np.linalg.lstsq(rates, both - at_rest)[0], dtype=float).T
+    mean_readings = 0.5 * (readings_at(fitted, kind, force, rates) + readings_at(fitted, kind, -force, rates))
+    matrix = np.asarray(np.linalg.lstsq(rates, mean_readings - at_rest)[0], dtype=float).T
     return SensorModel(matrix=matrix, bias=at_rest)
 
 
-def errors_left(
+def correction_errors(
     calibration: CalibrationData, kind: SensorKind, correct: Callable[[Array], Array], held: Container[str] = ()
 ) -> Array:
-    """Errors (N,), SI, of the vectors (N, 3) that `correct` makes of readings (N, n), without the groups that are
-    `held`: of the specific force in all attitudes at rest, or of the rate about all axes in 1 g, at the rate of the
-    session."""
+    """Return the errors (N,), SI, of a function that corrects readings (N, n) to vectors (N, 3).
+
+    They are those of the specific force in all attitudes at rest, or of the rate about all axes in 1 g, at the rate of
+    the session, without the groups that are `held`."""
     rate = np.zeros_like(DENSE) if kind == "accel" else session_rate(calibration) * DENSE[:, [1, 2, 0]]
     true = G_STANDARD * DENSE if kind == "accel" else rate
     readings = readings_at(_without(calibration, held), kind, G_STANDARD * DENSE, rate)
@@ -102,7 +103,6 @@ def errors_left(
 
 
 def _without(calibration: CalibrationData, held: Container[str]) -> CalibrationData:
-    """The calibration without the parameters of some groups."""
     return replace(calibration, parameters=tuple(p for p in calibration.parameters if group_name(p.name) not in held))
 
 
@@ -110,9 +110,8 @@ def _without(calibration: CalibrationData, held: Container[str]) -> CalibrationD
 
 
 _SYMBOLS: dict[SensorKind, str] = {"accel": "f", "gyro": "w"}
-"""The symbol of the vector of each kind."""
 _EXAMPLES = {"accel": (0.5, -1.0, 9.7), "gyro": (0.1, -0.2, 0.3), "mag": (0.4, -0.2, 0.3)}
-"""True vectors near which the examples are, SI or in the unit of the field."""
+"""True vectors of the examples, roughly, SI or in the unit of the field."""
 _TERMS = {
     "quadratic": "quadratic · ({0}x², {0}x {0}y, {0}x {0}z, {0}y², {0}y {0}z, {0}z²)",
     "cubic": "cubic s³",
@@ -123,8 +122,7 @@ _TERMS = {
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Example:
-    """A reading (n,), the true vector (3,) that it is corrected to, and the specific force (3,) in which gyros read it,
-    all SI."""
+    """A reading (n,), the vector (3,) that it is corrected to, and the specific force (3,) on gyros, SI."""
 
     reading: Array
     true: Array
@@ -132,15 +130,16 @@ class Example:
 
 
 def linear_example(kind: str, model: SensorModel) -> Example:
-    """A reading of six decimals, and what matrix and bias alone make of it."""
+    """Return a reading of six decimals with its correction by matrix and bias alone."""
     reading = np.round(model.predict(np.array(_EXAMPLES[kind])), 6)
     return Example(reading=reading, true=model.apply(reading), force=np.zeros(3))
 
 
 def examples(compensator: Compensator, kinds: Sequence[SensorKind], warmer: float = 0.0) -> dict[SensorKind, Example]:
-    """Readings of six decimals of these kinds of sensors, "accel" before "gyro", and what the whole correction makes of
-    them where the sensors are `warmer` than their references, K. The example of gyros is in the force of that of the
-    accelerometers, or in none without them."""
+    """Return readings of six decimals with their correction by the whole model, "accel" before "gyro".
+
+    The sensors are `warmer` than their references, K. The specific force on the gyros is that of the example of the
+    accelerometers, or zero without it."""
     out, force = dict[SensorKind, Example](), np.zeros((1, 3))
     for kind in kinds:
         reading, celsius = linear_example(kind, compensator.model(kind)).reading, compensator.reference(kind) + warmer
@@ -152,9 +151,8 @@ def examples(compensator: Compensator, kinds: Sequence[SensorKind], warmer: floa
     return out
 
 
-def beyond_linear(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
-    """The terms of Eq. (1) of the sensors of a kind by name, a row a sensor; none of a linear model, and "by_force" of
-    gyros that feel the specific force."""
+def nonlinear_tables(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
+    """Return the tables of the terms of Eq. (1) by name, one row per sensor; empty for a linear model."""
     block, K = compensator.sensors(kind)
     if block is None or is_linear(block, K):
         return {}
@@ -164,8 +162,8 @@ def beyond_linear(compensator: Compensator, kind: SensorKind) -> dict[str, Array
     return tables | ({"by_force": K[:, FORCE]} if np.any(K[:, FORCE]) else {})
 
 
-def over_temperature(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
-    """What changes with temperature of the sensors of a kind, by name, a number a sensor."""
+def thermal_tables(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
+    """Return the temperature coefficients of the sensors of a kind by name, one number per sensor."""
     bias, scale = (compensator.changes(kind, what) for what in ("bias", "scale"))
     scale = scale / np.linalg.norm(compensator.model(kind).matrix, axis=1)[:, None]
     tables = {
@@ -179,8 +177,10 @@ def over_temperature(compensator: Compensator, kind: SensorKind) -> dict[str, Ar
 
 
 def correction_content(calibration: CalibrationData) -> dict[str, Any]:
-    """The correction of the accepted sensors of a calibration, by kind, for its file: `formula` with its numbers, an
-    `example`, and where the formula is not linear the `linear` one that fits it best, with the errors it leaves."""
+    """Return the correction of the accepted sensors of a calibration, by kind, as its file has it.
+
+    It has the `formula` with its numbers and an `example`; if the formula is not linear also the `linear` one that fits
+    it best, with its errors."""
     out, kinds = dict[str, Any](), accepted_kinds(calibration)
     if not kinds:
         return out
@@ -188,15 +188,15 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
     for kind, worked in examples(compensator, kinds).items():
         symbol = _SYMBOLS[kind]
         model = compensator.model(kind)
-        tables = {"bias": model.bias, "inverse": model.inverse()} | beyond_linear(compensator, kind)
+        tables = {"bias": model.bias, "inverse": model.inverse()} | nonlinear_tables(compensator, kind)
         terms = [words.format(symbol) for name, words in _TERMS.items() if np.any(tables.get(name, 0.0))]
         tables = {name: table for name, table in tables.items() if name in ("bias", "axis") or np.any(table)}
         formula = f"{symbol} = inverse · (y − bias{' − terms' if terms else ''})"
         if terms:
             formula += f", {FIXED_POINT_STEPS + 1} times from terms = 0, terms = {' + '.join(terms)}"
             formula += ", s = axis · " + symbol if {"cubic", "asymmetry"} & tables.keys() else ""
-        if changing(calibration) and compensator.warm:
-            tables |= over_temperature(compensator, kind)
+        if thermal_parameters(calibration) and compensator.warm:
+            tables |= thermal_tables(compensator, kind)
             curve = "(bias_curve + d bias_cube)" if "bias_cube" in tables else "bias_curve"
             formula += (
                 f"; at d = T − reference, °C: bias + d (bias_slope + d {curve}), and what stands in the brackets is "
@@ -208,8 +208,8 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
             example["f"] = worked.force.tolist()
         out[kind] = content | {"example": example}
         if terms:
-            best = linear_model(calibration, kind)
-            off = errors_left(calibration, kind, best.apply)
+            best = best_linear_model(calibration, kind)
+            off = correction_errors(calibration, kind, best.apply)
             out[kind]["linear"] = {
                 "formula": f"{symbol} = inverse · (y − bias)",
                 "inverse": best.inverse().tolist(),
@@ -230,7 +230,7 @@ def corrected_readings(
     dt: npt.ArrayLike | None,
     temperature: Temperatures | None,
 ) -> tuple[Array, Array | None]:
-    """Specific force and angular rate (..., 3) of readings (..., n), see `Calibration.apply`."""
+    """Return specific force and angular rate (..., 3) for readings (..., n), see `Calibration.apply`."""
     outcome = calibration.outcome
     if not outcome.accel and (gyro is None or not outcome.gyro):
         raise CalibrationError(
@@ -251,7 +251,7 @@ def corrected_readings(
             )
         readings[kind] = numbers
     shape, interval = readings["accel"].shape[:-1], np.ones(1)
-    if dt is not None:  # an interval for each sample; one for all of them is repeated
+    if dt is not None:  # one interval per sample, or one for all
         intervals = numbers_of("dt", dt)
         if intervals.shape not in ((), shape):
             raise InputError(f"dt: expected a number for each sample, {shape}, found the shape {intervals.shape}")
@@ -260,24 +260,25 @@ def corrected_readings(
         interval = np.ravel(np.broadcast_to(intervals, shape))[:, None]
     celsius = given_temperatures(temperature, compensator, shape)
     force = compensator.force(readings["accel"].reshape(-1, compensator.accel.size) / interval, celsius["accel"])
-    felt = np.full((*shape, 3), np.nan) if calibration.accel is None else (force * interval).reshape(*shape, 3)
+    corrected = np.full((*shape, 3), np.nan) if calibration.accel is None else (force * interval).reshape(*shape, 3)
     if gyro is None:
-        return felt, None
-    turned = readings["gyro"]
-    if turned.shape[:-1] != shape and not (compensator.linear and dt is None):
+        return corrected, None
+    rates = readings["gyro"]
+    if rates.shape[:-1] != shape and not (compensator.linear and dt is None):
         raise InputError(
-            f"gyro readings: expected as many samples as of the accelerometers, {shape}, found the shape {turned.shape}"
+            f"gyro readings: expected as many samples as of the accelerometers, {shape}, found the shape {rates.shape}"
         )
-    rate = compensator.rate(turned.reshape(-1, turned.shape[-1]) / interval, force, celsius["gyro"]) * interval
-    return felt, rate.reshape(*turned.shape[:-1], 3)
+    rate = compensator.rate(rates.reshape(-1, rates.shape[-1]) / interval, force, celsius["gyro"]) * interval
+    return corrected, rate.reshape(*rates.shape[:-1], 3)
 
 
 def given_temperatures(
     given: Temperatures | None, compensator: Compensator, shape: tuple[int, ...]
 ) -> dict[str, Array | None]:
-    """Temperatures (N, n) or (N, 1), °C, of the "accel" and "gyro" of samples of a shape (...), N together: of all
-    sensors (...), or by kind, (...) or (..., n), K. Raises InputError for others, and for one thermometer where the
-    calibration has several."""
+    """Return the temperatures (N, n) or (N, 1), °C, of "accel" and "gyro" for samples of a shape (...), N in all.
+
+    They are given in K, (...) for all sensors, or by kind, (...) or (..., n). Raises InputError for other shapes, and
+    for one thermometer if the calibration has several."""
 
     def by_sample(what: str, kelvin: npt.ArrayLike, sensors: int) -> Array:
         numbers = numbers_of(what, kelvin)

@@ -1,9 +1,8 @@
-"""The calibration file: how a `Calibration` is written, and how its file is read and checked.
+"""Writing, reading and checking of calibration files.
 
-JSON; parameters in SI and radians with standard uncertainties and covariance, the matrices and biases that apply them,
-the outcome with its reasons, and where it all came from. The keys are the fields of `Calibration`, `Evidence` and
-`Provenance`, side by side; the checks are in the types of these fields, and unknown keys are ignored. A message names
-the key: "found 'much' in place of a number at parameters[3].value".
+A file is JSON, in SI and radians. Its keys are the fields of `Calibration`, `Evidence` and `Provenance`, side by side;
+the types of these fields have the checks, and unknown keys are ignored. Messages name the key, such as
+parameters[3].value.
 """
 
 from __future__ import annotations
@@ -38,14 +37,12 @@ KEYS = (
     *("programme", "readings", "notes", "assumptions", "absent", "launches", "together", "provenance"),
 )
 """Keys of the file in their order; `circumstances` is written as "session"."""
-_SENTENCES = ("notes", "assumptions", "absent")
-"""Keys of sentences, which may have any characters; all other texts have those that do nothing."""
-ORIGIN = ("log_sha256", "software", "created", "prior")
-"""Fields of `Provenance` that the file has in its table "provenance"."""
+_SENTENCES = ("notes", "assumptions", "absent")  # keys of texts that may have control characters
+ORIGIN = ("log_sha256", "software", "created", "prior")  # fields of `Provenance` in the table "provenance"
 
 
 def file_record(*parts: type) -> type:
-    """A dataclass whose fields are the keys of the file, from the fields of `Calibration` and of its parts."""
+    """Return a dataclass whose fields are the keys of the file, from the fields of `Calibration` and its parts."""
     described: dict[str, tuple[Any, Any]] = {
         "format": (Literal[1], field(default=FORMAT)),
         "provenance": (Mapping[str, str], field(default_factory=dict)),
@@ -66,7 +63,7 @@ def file_record(*parts: type) -> type:
 
 @cache
 def adapter_of(record: type) -> TypeAdapter[Any]:
-    """What reads a `file_record` and describes it."""
+    """Return the pydantic adapter that reads a `file_record` and has its schema."""
     return TypeAdapter(record)
 
 
@@ -74,9 +71,10 @@ def adapter_of(record: type) -> TypeAdapter[Any]:
 
 
 def content_of(calibration: CalibrationData) -> dict[str, Any]:
-    """What the calibration file holds, as JSON has it: beside the fields the correction, the range of temperatures that
-    the rests have, the lags behind the thermometer, and with each sensor model its unit and the values of the groups
-    beyond it."""
+    """Return the content of the calibration file in the types of JSON.
+
+    Besides the fields it has the correction, the range of temperatures of the rests, the lags behind the thermometer,
+    and with each sensor model its unit and the values of the groups beyond it."""
     values: dict[str, Any] = {"format": FORMAT}
     for part in (calibration, calibration.evidence, calibration.provenance):
         values |= {each.name: getattr(part, each.name) for each in fields(part)}
@@ -90,11 +88,11 @@ def content_of(calibration: CalibrationData) -> dict[str, Any]:
         for step in calibration.evidence.iterations
     ]
     content["device"]["imu"] = sensors_content(calibration.imu)
-    range_of_rests = calibration.temperature_range
-    warmth = content["temperature"] | {"range": None if range_of_rests is None else list(range_of_rests)}
+    limits = calibration.temperature_range
+    temperature = content["temperature"] | {"range": None if limits is None else list(limits)}
     lags = {kind: calibration[f"{kind}.lag"].value for kind in ("accel", "gyro") if f"{kind}.lag" in calibration}
-    warmth |= {"lag": lags} if lags else {}
-    content["temperature"] = {key: value for key, value in warmth.items() if value != {}}
+    temperature |= {"lag": lags} if lags else {}
+    content["temperature"] = {key: value for key, value in temperature.items() if value != {}}
     content["device"] = {key: value for key, value in content["device"].items() if value != {}}
     for kind, unit in (*UNITS.items(), ("mag", calibration["mag.bias.x"].unit if calibration.mag else "")):
         if content[kind] is not None:
@@ -108,14 +106,12 @@ def content_of(calibration: CalibrationData) -> dict[str, Any]:
 
 
 def _parameter_content(parameter: Parameter) -> dict[str, Any]:
-    """What is None is left out, but for u and the prior."""
     always = {key: getattr(parameter, key) for key in ("name", "value", "u", "unit", "prior", "k")}
     others = {key: getattr(parameter, key) for key in ("deviation", "run_to_run", "learned", "dof")}
     return always | {key: value for key, value in others.items() if value is not None}
 
 
 def _known_content(circumstances: Circumstances) -> dict[str, Any]:
-    """The circumstances that are known."""
     content = asdict(circumstances) | {"equipment": list(circumstances.equipment)}
     content["conditions"] = {key: value for key, value in content["conditions"].items() if value is not None}
     return {key: value for key, value in content.items() if value}
@@ -127,11 +123,11 @@ _AS_TABLES: Mapping[type, Callable[[Any], Any]] = {
     SensorModel: lambda model: {"matrix": model.matrix.tolist(), "bias": model.bias.tolist(), "unit": ""},
     Circumstances: _known_content,
 }
-"""Parts that stand in the file otherwise than as their fields."""
+"""Content of types that are not written field by field."""
 
 
 def text_of_calibration(calibration: CalibrationData) -> str:
-    """The text of the calibration file."""
+    """Return the text of the calibration file."""
     return json.dumps(content_of(calibration), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
@@ -141,7 +137,7 @@ def write_calibration(calibration: CalibrationData, path: FilePath, *, force: bo
     if path.exists():
         if not os.access(path, os.W_OK):
             raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
-        if path.stat().st_size:  # an empty file holds nothing of anyone's
+        if path.stat().st_size:
             _check_replaceable(calibration, path, force)
     try:
         text = text_of_calibration(calibration)
@@ -161,12 +157,12 @@ def _check_replaceable(new: CalibrationData, path: Path, force: bool) -> None:
     try:
         old = json_of(text_of_document(path))
         same = old["method"] == new.method and old["provenance"]["log_sha256"] == new.provenance.log_sha256
-        of_use = any(not old["outcome"][kind]["reasons"] and old[kind] is not None for kind in ("accel", "gyro"))
+        is_usable = any(not old["outcome"][kind]["reasons"] and old[kind] is not None for kind in ("accel", "gyro"))
     except (ValueError, KeyError, TypeError, InputError) as error:
         raise CalibrationError(
             f"{path}: expected a calibration to replace, found another file; remove it, or choose another --out"
         ) from error
-    if of_use and not same and not force:
+    if is_usable and not same and not force:
         raise CalibrationError(
             f"{path}: holds a calibration from another log or by another method; give --force to replace it, or "
             "--out for another file"
@@ -177,16 +173,15 @@ def _check_replaceable(new: CalibrationData, path: Path, force: bool) -> None:
 
 
 def text_of(path: Path) -> str:
-    """The text of a calibration file, not yet looked at."""
+    """Return the text of a calibration file, not yet checked."""
     return text_of_document(path, CalibrationError)
 
 
 def parsed(record: type, text: str, name: str, build: Callable[[Any], AnyCalibration]) -> AnyCalibration:
-    """Read a calibration from the text of a file, which messages call `name`. A `file_record` describes the file;
-    `build` makes the calibration of such a record, and raises ValueError if its parts contradict each other.
+    """Read a calibration from the text of a file, which messages call `name`.
 
-    Raises CalibrationError with the first fault.
-    """
+    `record` is a `file_record`; `build` makes the calibration of such a record, and raises ValueError if its parts
+    contradict each other. Raises CalibrationError with the first fault."""
     try:
         content = json_of(text)
     except ValueError as error:
@@ -216,8 +211,9 @@ def parsed(record: type, text: str, name: str, build: Callable[[Any], AnyCalibra
 def _first(
     content: Any, wrong: Callable[[Any, int | str], bool], key: tuple[int | str, ...] = ()
 ) -> list[tuple[tuple[int | str, ...], Any]]:
-    """The first number or text of a document, the names of keys too, that is wrong below a key of its top level, with
-    its own key; nothing where none is."""
+    """Return the first value or name of a key that is `wrong`, with its key, or nothing.
+
+    `wrong` is called with the value and its key at the top level."""
     for name, each in content.items() if isinstance(content, dict) else enumerate(content):
         top = key[0] if key else name
         if isinstance(name, str) and wrong(name, key[0] if key else ""):
@@ -235,5 +231,4 @@ def _is_no_text(value: Any, top: int | str) -> bool:
 
 
 def _no_calibration(name: str, found: object) -> CalibrationError:
-    """That a file is no calibration."""
     return CalibrationError(f"{name}: expected a calibration file of tumble, found {found}")

@@ -1,4 +1,4 @@
-"""A calibration of triads in another frame: what belongs to the axes turns, what belongs to a sensor stays."""
+"""Conversion of a calibration of triads to another frame."""
 
 from __future__ import annotations
 
@@ -20,51 +20,52 @@ _VARIABLES = ("time", *THERMAL)
 _LINEAR = frozenset(group.name for group in LINEAR)
 
 
-def turned(
+def _converted(
     blocks: tuple[Block, Block | None],
     frames: tuple[Frame, Frame],
     parameters: tuple[Parameter, ...],
     covariance: Array | None,
 ) -> tuple[tuple[Parameter, ...], Array | None, Array, Framed]:
-    """Parameters with their covariance taken from the first of two frames to the second, the derivative (m, m) of the
-    new ones with respect to the old, and those of the linear model with their sensor models."""
-    own = len([p for p in parameters if group_name(p.name) in _LINEAR])
-    rest = parameters[own:]
+    """Convert parameters with their covariance from the first of two frames to the second.
+
+    Returned are also the derivative (m, m) of the new parameters with respect to the old ones, and the converted linear
+    model. Groups that belong to the axes turn, those that belong to a sensor stay."""
+    linear = len([p for p in parameters if group_name(p.name) in _LINEAR])
+    rest = parameters[linear:]
     framed = convert(
         *blocks,
         source=frames[0],
-        values=np.array([p.value for p in parameters[:own]]),
-        covariance=None if covariance is None else covariance[:own, :own],
+        values=np.array([p.value for p in parameters[:linear]]),
+        covariance=None if covariance is None else covariance[:linear, :linear],
         target=frames[1],
     )
     names, carry, count = [p.name for p in rest], np.eye(len(rest)), len(framed.names)
     instrument = Instrument.of(*blocks, {group_name(name) for name in names}, _VARIABLES)
     further = instrument.names[instrument.linear_count :]
-    at = [names.index(name) for name in further if name in names]
-    if len(at) == len(further):
-        carry[np.ix_(at, at)] = carried_further(instrument, framed.rotation)
+    indices = [names.index(name) for name in further if name in names]
+    if len(indices) == len(further):
+        carry[np.ix_(indices, indices)] = carried_further(instrument, framed.rotation)
     jacobian = np.zeros((count + len(rest), len(parameters)))
-    jacobian[:count, :own], jacobian[count:, own:] = framed.jacobian, carry
-    before = np.array([p.u or 0.0 for p in parameters])
-    degrees = degrees_through(jacobian, before, [p.dof for p in parameters])
+    jacobian[:count, :linear], jacobian[count:, linear:] = framed.jacobian, carry
+    old_u = np.array([p.u or 0.0 for p in parameters])
+    degrees = degrees_through(jacobian, old_u, [p.dof for p in parameters])
     u: list[float | None] = [None] * len(jacobian)
     if covariance is not None:
         covariance = np.asarray(jacobian @ covariance @ jacobian.T)
         u = np.sqrt(np.diag(covariance)).tolist()
-    linear = tuple(
+    converted = [
         Parameter(name=name, value=float(value), u=each, unit=unit, dof=dof)
         for name, value, each, unit, dof in zip(framed.names, framed.values, u, framed.units, degrees, strict=False)
-    )
-    after = []
+    ]
     for p, value, each, dof in zip(rest, carry @ [p.value for p in rest], u[count:], degrees[count:], strict=True):
-        known = p.learned is not None and p.prior is not None and each is not None
-        learned = learned_fraction(each or 0.0, p.prior or 1.0) if known else p.learned
-        after.append(replace(p, value=float(value), u=each, deviation=None, learned=learned, dof=dof))
-    return (*linear, *after), covariance, jacobian, framed
+        has_prior = p.learned is not None and p.prior is not None and each is not None
+        learned = learned_fraction(each or 0.0, p.prior or 1.0) if has_prior else p.learned
+        converted.append(replace(p, value=float(value), u=each, deviation=None, learned=learned, dof=dof))
+    return tuple(converted), covariance, jacobian, framed
 
 
 def calibration_in(calibration: AnyCalibration, frame: str) -> AnyCalibration:
-    """A calibration in another frame, see `Calibration.in_frame`."""
+    """Convert a calibration to another frame, see `Calibration.in_frame`."""
     if frame == calibration.frame:
         return calibration
     evidence = calibration.evidence
@@ -76,17 +77,17 @@ def calibration_in(calibration: AnyCalibration, frame: str) -> AnyCalibration:
         frames = frame_of(calibration.frame), frame_of(frame)
         gyro = None if calibration.gyro is None else Block(kind="gyro", axes=triad_axes(calibration.gyro.matrix))
         blocks = Block(kind="accel", axes=triad_axes(calibration.accel.matrix)), gyro
-        parameters, covariance, jacobian, framed = turned(
+        parameters, covariance, jacobian, framed = _converted(
             blocks, frames, calibration.parameters, calibration.covariance
         )
-        others = [turned(blocks, frames, launch.parameters, launch.covariance) for launch in evidence.launches]
+        others = [_converted(blocks, frames, launch.parameters, launch.covariance) for launch in evidence.launches]
     except InputError as error:
         raise CalibrationError(str(error)) from error
     launches = tuple(
-        replace(launch, parameters=each, covariance=of_launch)
-        for launch, (each, of_launch, *_) in zip(evidence.launches, others, strict=True)
+        replace(launch, parameters=each, covariance=launch_covariance)
+        for launch, (each, launch_covariance, *_) in zip(evidence.launches, others, strict=True)
     )
-    if launches:  # with the standard deviation from launch to launch
+    if launches:
         by_launch = [{p.name: p.value for p in launch.parameters} for launch in launches]
         spread = {p.name: float(np.std([values[p.name] for values in by_launch], ddof=1)) for p in parameters}
         parameters = tuple(replace(p, run_to_run=spread[p.name]) for p in parameters)

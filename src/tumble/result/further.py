@@ -1,6 +1,4 @@
-"""What a calibration says beyond the linear model: a line for each group of parameters, what corrected readings are
-known to, where a prior decides an uncertainty, and the verdicts. Words and numbers for terminal, notebook and report.
-"""
+"""Summaries of a calibration in words and numbers, for terminal, notebook and report."""
 
 from __future__ import annotations
 
@@ -15,25 +13,19 @@ import scipy
 from tumble.inference.estimate import Fit
 from tumble.inference.prediction import Prediction
 from tumble.result.calibration import Calibration
-from tumble.result.correction import errors_left
-from tumble.result.coverage import without_expanded
+from tumble.result.correction import correction_errors
+from tumble.result.coverage import notes_without_expanded
 from tumble.result.parts import Evidence, Launch, Parameter
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
 from tumble.units import Array, engineering, two_digits
 
-WIDENED = 1.05
-"""From here on a prior counts as widened."""
-BY_PRIOR = 0.5
-"""A parameter of which the session has learned less is known by its prior rather than by the data."""
-OPEN = 2.0
-"""The u of single biases over that of the corrected specific force from which on they are open singly."""
-OTHER_THAN_TWO = 0.05
-"""Coverage factors this far from 2 are shown."""
-NEGLIGIBLE = 1e-9
-"""m/s², rad/s: what the rounding of double precision leaves."""
-UNSEEN = 0.05
-"""A scatter could be there unseen where chance would hide it in more than this part of all sessions."""
+WIDENED = 1.05  # factor of a prior from which on it counts as widened
+BY_PRIOR = 0.5  # learned fraction below which a parameter is known by its prior rather than by the data
+OPEN_BIAS_RATIO = 2.0  # u of a single bias to that of the corrected force, above which a prior decides the bias
+OTHER_THAN_TWO = 0.05  # difference of a coverage factor from 2 from which on it is shown
+NEGLIGIBLE = 1e-9  # m/s², rad/s: rounding of double precision
+HIDDEN_PROBABILITY = 0.05  # with which chance hides the largest scatter that may be there undetected
 SENSORS = {"accel": "accelerometer", "gyro": "gyro", "mag": "magnetometer"}
 _NAME = re.compile(
     r"(?P<kind>accel|gyro|mag)\.(?:axis\.(?P<pair>[xyz]{2})|(?P<what>bias|scale|axis)\."
@@ -43,10 +35,11 @@ _NAME = re.compile(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupLine:
-    """A group of parameters in a calibration: `largest` is that of the largest |value|, None where the session
-    determines none; `learned` is the smallest fraction, in words such as "66–72 %" with the largest; the prior, SI; a
-    `remark` that it is not determined, or by how much the prior was widened; and the unit shown as (`size` in SI,
-    `shown`)."""
+    """A group of parameters in a calibration.
+
+    `largest` is the parameter with the largest |value|, None if the session determines none; `learned` the smallest
+    learned fraction, and `learned_percent` the range, such as "66–72 %"; `prior` is SI. `remark` says that the group is
+    not determined, or that its prior was widened. The unit `shown` has the `size` in SI."""
 
     name: str
     words: str
@@ -59,8 +52,8 @@ class GroupLine:
     shown: str
 
 
-def described(name: str) -> str:
-    """A parameter in words: "X accelerometer, bias", "angle of the Y accelerometer towards X"."""
+def parameter_words(name: str) -> str:
+    """Return a parameter in words: "X accelerometer, bias", "Y accelerometer, axis towards X"."""
     match = _NAME.fullmatch(name)
     if match is None:
         return ""
@@ -73,17 +66,17 @@ def described(name: str) -> str:
 
 
 def linear_parameters(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
-    """The parameters of the linear model: bias, scale factor, axis angles."""
+    """Return the parameters of the linear model: bias, scale factor, axis angles."""
     return tuple(p for p in parameters if not beyond_linear(p.name))
 
 
 def further_parameters(parameters: Sequence[Parameter]) -> tuple[Parameter, ...]:
-    """The parameters of the groups beyond the linear model."""
+    """Return the parameters of the groups beyond the linear model."""
     return tuple(p for p in parameters if beyond_linear(p.name))
 
 
 def by_group(parameters: Iterable[Parameter]) -> dict[str, list[Parameter]]:
-    """Parameters by the names of their groups, in their order."""
+    """Return parameters by the names of their groups, in their order."""
     out: dict[str, list[Parameter]] = {}
     for p in parameters:
         out.setdefault(group_name(p.name), []).append(p)
@@ -91,7 +84,7 @@ def by_group(parameters: Iterable[Parameter]) -> dict[str, list[Parameter]]:
 
 
 def group_lines(calibration: Calibration) -> tuple[GroupLine, ...]:
-    """A line for every group beyond the linear model that the calibration has anything to say of."""
+    """Return a line for every group beyond the linear model that the calibration has or has looked for."""
     findings, lines = {group.name: group for group in calibration.groups}, []
     silent: dict[str, list[Parameter]] = {name: [] for name in findings}
     for name, members in (silent | by_group(further_parameters(calibration.parameters))).items():
@@ -121,8 +114,8 @@ def group_lines(calibration: Calibration) -> tuple[GroupLine, ...]:
     return tuple(lines)
 
 
-def predicted(prediction: Prediction) -> str:
-    """What corrected readings are known to, in a line."""
+def prediction_text(prediction: Prediction) -> str:
+    """Return a sentence with the uncertainty of corrected readings."""
     size, unit = engineering("m/s^2", prediction.force_u)
     sentence = f"corrected specific force at 1 g: u {two_digits(prediction.force_u / size)} {unit}"
     if prediction.rate_u is None or prediction.at_rate is None:
@@ -134,10 +127,9 @@ def predicted(prediction: Prediction) -> str:
 
 
 def decided_by_priors(calibration: Calibration) -> str | None:
-    """Which groups leave the biases of the accelerometers to a prior, and which rests would settle it, in a line; None
-    where the data decide."""
+    """Return a sentence on groups whose priors decide the biases of the accelerometers; None if the data decide."""
     biases = [p.u for p in calibration.parameters if group_name(p.name) == "accel.bias" and p.u]
-    groups = []  # that accelerometers show at rest and that are known by their priors
+    groups = []
     for line in group_lines(calibration):
         entry = named_group(line.name)
         seen_at_rest = entry is not None and entry.kind == "accel" and entry.regressors is not None
@@ -145,46 +137,41 @@ def decided_by_priors(calibration: Calibration) -> str | None:
             groups.append(line.words)
     if calibration.prediction is None or not biases or not groups:
         return None
-    times = max(biases) / calibration.prediction.force_u
-    if times <= OPEN:
+    ratio = max(biases) / calibration.prediction.force_u
+    if ratio <= OPEN_BIAS_RATIO:
         return None
     return (
-        f"a prior, not the data, decides u of {'; '.join(groups)}: u of a single bias is up to {times:.1f} times that "
+        f"a prior, not the data, decides u of {'; '.join(groups)}: u of a single bias is up to {ratio:.1f} times that "
         "of the corrected specific force; rests in oblique attitudes (corners, edges) would settle it: tumble plan"
     )
 
 
 def verdicts(calibration: Calibration) -> tuple[str, ...]:
-    """The verdict, after those of accelerometers and gyros where these differ."""
+    """Return the verdict, after those of accelerometers and gyros if these differ."""
     outcome = calibration.outcome
     names = (*(p.name for p in calibration.parameters), *outcome.unobservable)
-    both = {"accel", "gyro"} <= {sensor_kind(name) for name in names}
-    if not both or outcome.accel.verdict == outcome.gyro.verdict:
+    has_both = {"accel", "gyro"} <= {sensor_kind(name) for name in names}
+    if not has_both or outcome.accel.verdict == outcome.gyro.verdict:
         return (outcome.verdict,)
     return f"accelerometers: {outcome.accel.verdict}", f"gyros: {outcome.gyro.verdict}", outcome.verdict
 
 
 def accepted_groups(calibration: Calibration) -> tuple[str, ...]:
-    """The groups of parameters whose values may be used, of kinds of sensors that are not accepted as a whole."""
+    """Return the accepted groups of parameters of sensors that are not accepted as a whole."""
     outcome, groups = calibration.outcome, {group_name(p.name) for p in calibration.parameters}
-    spared = (name for name, judgement in outcome.groups.items() if judgement and name in groups)
-    return tuple(name for name in spared if not outcome.of(sensor_kind(name)))
+    accepted = (name for name, judgement in outcome.groups.items() if judgement and name in groups)
+    return tuple(name for name in accepted if not outcome.of(sensor_kind(name)))
 
 
-def recorded_on(calibration: Calibration) -> list[str]:
-    """When the recordings behind a calibration were made, ISO 8601, each once and in their order; what is not known is
-    left out."""
-    sessions = [launch.circumstances.date for launch in calibration.evidence.launches]
-    every = [
-        *sessions,
-        *(member.date for member in calibration.evidence.together),
-        calibration.provenance.circumstances.date,
-    ]
-    return sorted({moment for moment in every if moment is not None})
+def recording_dates(calibration: Calibration) -> list[str]:
+    """Return the known dates of the recordings behind a calibration, ISO 8601, in order and each once."""
+    evidence = calibration.evidence
+    dates = {launch.circumstances.date for launch in evidence.launches} | {each.date for each in evidence.together}
+    return sorted(date for date in dates | {calibration.provenance.circumstances.date} if date is not None)
 
 
-def rests_said(recorded: Evidence | Launch) -> str:
-    """How far the corrected readings at rest are from g, and turns from the fit."""
+def rest_summary(recorded: Evidence | Launch) -> str:
+    """Return a sentence on the residuals of rests and turns."""
     rests, turns = recorded.rests, recorded.turns
     rms = sqrt(sum(rest.residual**2 for rest in rests) / len(rests))
     worst = max(range(len(rests)), key=[abs(rest.residual) for rest in rests].__getitem__)
@@ -198,29 +185,28 @@ def rests_said(recorded: Evidence | Launch) -> str:
     return f"{sentence}; {len(turns)} turns, the worst {max(turn.sigmas for turn in turns):z.1f} sigma from the fit"
 
 
-def checked(fit: Fit) -> bool:
-    """Whether there are more data than unknowns."""
+def has_redundancy(fit: Fit) -> bool:
+    """Return True if there are more data than unknowns."""
     return fit.degrees >= 0.5
 
 
-def other_factors(parameters: Sequence[Parameter]) -> bool:
-    """Whether the coverage factor of any parameter is another than 2."""
+def has_other_factors(parameters: Sequence[Parameter]) -> bool:
+    """Return True if the coverage factor of any parameter is not 2."""
     return any(p.k is None or abs(p.k - 2.0) > OTHER_THAN_TWO for p in parameters if p.u)
 
 
-def left_by_matrix(calibration: Calibration) -> str:
-    """What matrix and bias alone leave of a vector that the whole model corrects, over all attitudes, in a line: of the
-    specific force at 1 g, and of the rate that the prediction is at, about all axes in 1 g. Lever arms, delays and
-    temperatures are not in it: they need a motion or a warming. Nothing where matrix and bias are the whole model, or
-    there are no accelerometers."""
+def linear_errors_text(calibration: Calibration) -> str:
+    """Return a sentence on the errors of a correction by matrix and bias alone; empty if these are the whole model.
+
+    They are those of the specific force at 1 g over all attitudes, and of the rate of the prediction about all axes."""
     if calibration.accel is None or calibration.compensator.linear:
         return ""
     prediction = calibration.prediction
     at_rate = None if calibration.gyro is None or prediction is None else prediction.at_rate
-    force = errors_left(calibration, "accel", calibration.accel.apply)
+    force = correction_errors(calibration, "accel", calibration.accel.apply)
     rate = np.zeros(1)
     if calibration.gyro is not None and at_rate is not None:
-        rate = errors_left(calibration, "gyro", calibration.gyro.apply)
+        rate = correction_errors(calibration, "gyro", calibration.gyro.apply)
     if max(force.max(), rate.max()) < NEGLIGIBLE:
         return "with matrix and bias alone: exact at the reference temperature"
 
@@ -237,24 +223,25 @@ def left_by_matrix(calibration: Calibration) -> str:
 
 
 def remarks(calibration: Calibration) -> tuple[str, ...]:
-    """Of which parameters no U is stated; and, for each kind of sensor whose U is of known noise although few residuals
-    could have shown a scatter, how large one may be there unseen."""
+    """Return remarks on parameters without U, and on scatter that few residuals may not have shown."""
 
-    def unseen(fit: Fit) -> float:
-        """The largest scatter, in units of the noise, that leaves so small a chi-square in UNSEEN of all cases."""
-        least = 2.0 * float(scipy.special.gammaincinv(0.5 * fit.degrees, UNSEEN))
+    def hidden_scatter(fit: Fit) -> float:
+        """Return the largest scatter, in units of the noise, for which chi-square is so small with a probability of
+        HIDDEN_PROBABILITY."""
+        least = 2.0 * float(scipy.special.gammaincinv(0.5 * fit.degrees, HIDDEN_PROBABILITY))
         return sqrt(max(fit.chi_square / least - 1.0, 0.0)) if least > 0.0 else inf
 
-    sentences = list(without_expanded(calibration.parameters))
+    sentences = list(notes_without_expanded(calibration.parameters))
     if calibration.evidence.launches:
         return tuple(sentences)
     for kind, sensors in WORDS.items():
         groups = [fit for name, fit in calibration.evidence.fits.items() if name.startswith(kind) and fit.degrees > 0.0]
-        hidden = max(((unseen(fit), fit.degrees) for fit in groups if fit.scatter == 0.0), default=(0.0, 0.0))
-        if 1.0 < hidden[0] < inf:
+        scatters = [(hidden_scatter(fit), fit.degrees) for fit in groups if fit.scatter == 0.0]
+        largest, degrees = max(scatters, default=(0.0, 0.0))
+        if 1.0 < largest < inf:
             sentences.append(
-                f"no scatter of the {sensors} was detected, with {hidden[1]:.2g} degrees of freedom to show one: U "
-                f"covers the noise within rests and turns; a scatter of up to {hidden[0]:.2g} times that noise may be "
+                f"no scatter of the {sensors} was detected, with {degrees:.2g} degrees of freedom to show one: U "
+                f"covers the noise within rests and turns; a scatter of up to {largest:.2g} times that noise may be "
                 "there unseen"
             )
     return tuple(sentences)

@@ -1,8 +1,7 @@
-"""What a calibration consists of: parameters, sensor models, rests, turns, readings, launches, sessions together; and
-the records of these that are the evidence behind the parameters, and their provenance.
+"""Parts of a calibration: parameters, rests, turns, readings, launches, evidence and provenance.
 
-Each is a plain dataclass; the annotations beyond the types are what a calibration file is held to, and how what is no
-plain dataclass is read from it (`FromTable`); `tumble.result.file` writes it.
+The annotations of the fields have the checks of the calibration file, and describe how types that are no plain
+dataclasses are read from it (`FromTable`); `tumble.result.file` writes it.
 """
 
 from __future__ import annotations
@@ -22,39 +21,31 @@ from pydantic_core import core_schema
 from tumble.documents import shown
 from tumble.inference.estimate import Fit, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.inference.sources import Source
-from tumble.recording.session import (
-    UNKNOWN,
-    AutopilotSensor,
-    Circumstances,
-    IsoDate,
-    Site,
-    sensors_from,
-)
+from tumble.recording.session import UNKNOWN, AutopilotSensor, Circumstances, IsoDate, Site, sensors_from
 from tumble.recording.session.document import ImuTable
-from tumble.recording.session.table import name_of
+from tumble.recording.session.table import check_name
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import is_parameter
 from tumble.units import Array
 
 MOST_PARAMETERS, MOST_RESTS, MOST_LAUNCHES = 1000, 100_000, 1000
-LARGEST, LEAST = 1e60, 1e-60
-"""No number of a file is larger, and no uncertainty that is not zero is smaller."""
+LARGEST, LEAST = 1e60, 1e-60  # largest number of a file, and smallest uncertainty other than zero
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FromTable:
-    """That a type that is no plain dataclass stands in the file as a `table`, of which it is `read`."""
+    """Annotation of a type that the file has as a `table`, from which the function `read` makes it."""
 
     table: Any
     read: Callable[[Any], Any]
 
     def __get_pydantic_core_schema__(self, _: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        """That of the table."""
+        """Return the schema of the table."""
         return core_schema.no_info_after_validator_function(self.read, handler.generate_schema(self.table))
 
 
 def checked_sizes(*names: str) -> AfterValidator:
-    """Checks that fields which are standard uncertainties or sizes of something may be such."""
+    """Return a validator of fields that are standard uncertainties or sizes."""
 
     def check(part: Any) -> Any:
         for name in names:
@@ -65,18 +56,17 @@ def checked_sizes(*names: str) -> AfterValidator:
 
 
 _LEAST_SINGULAR_VALUE = 1e-9
-_CORRELATION_ROUNDING = 1e-9
-"""What numbers of 17 digits, and sums of as many terms as 1000 parameters make, are off: 1000² · 2⁻⁵² = 2e-10."""
+_CORRELATION_ROUNDING = 1e-9  # above that of sums over 1000 parameters, 1000² · 2⁻⁵² = 2e-10
 
 
 def is_size(number: float) -> float:
-    """A number that may be a standard uncertainty. Raises ValueError for another."""
+    """Return a number that may be a standard uncertainty. Raises ValueError for any other."""
     if not (number == 0.0 or LEAST <= number <= LARGEST):
         raise ValueError(f"expected zero or a number from {LEAST:g} to {LARGEST:g}, found {number:g}")
     return number
 
 
-Name = Annotated[str, AfterValidator(name_of)]
+Name = Annotated[str, AfterValidator(check_name)]
 Size = Annotated[float, AfterValidator(is_size)]
 Positive = Annotated[float, Field(gt=0.0), AfterValidator(is_size)]
 Count = Annotated[int, Field(ge=0, le=10**9)]
@@ -85,7 +75,7 @@ Matrix = Annotated[tuple[Vector, ...], Field(max_length=MOST_PARAMETERS)]
 
 
 class Estimated(Protocol):
-    """A value with its standard uncertainty, SI, and the degrees of freedom of this, as far as they are known."""
+    """A value with its standard uncertainty, SI, and the degrees of freedom of this, None if infinite."""
 
     @property
     def value(self) -> float: ...
@@ -97,11 +87,11 @@ class Estimated(Protocol):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Parameter:
-    """A named quantity with its standard uncertainty (None where the method gives none), SI, and the degrees of freedom
-    with which that was estimated (None where the noise is known); with the standard deviation of what was known before,
-    and how much of the variance of that the session has taken off, 0 to 1; where the session names a systematic
-    (passport) calibration, with the deviation from it; for the mean of several launches with the standard deviation
-    from launch to launch."""
+    """A named quantity with its standard uncertainty `u`, SI, None if the method gives none.
+
+    `dof` are the degrees of freedom of u, None if the noise is known. `prior` is the standard deviation of the prior,
+    `learned` the fraction of its variance that the session has removed, 0 to 1. `deviation` is that from the systematic
+    (passport) calibration of the session, `run_to_run` the standard deviation from launch to launch in a mean."""
 
     name: Name
     value: float
@@ -115,13 +105,12 @@ class Parameter:
 
     @property
     def k(self) -> float | None:
-        """The coverage factor of U = k u, of 95.45 %: Student's t for `dof`; None where there are fewer than
-        FEWEST_DEGREES."""
+        """Coverage factor of U = k u, 95.45 %: Student's t for `dof`; None if these are fewer than FEWEST_DEGREES."""
         return stated_factor(self.dof)
 
 
 def learned_fraction(u: float, prior: float) -> float:
-    """How much of the variance of a prior of this standard deviation u has taken off, 0 to 1."""
+    """Return the fraction of the variance of a prior, given as standard deviation, that u lacks, 0 to 1."""
     return min(max(1.0 - (u / prior) ** 2, 0.0), 1.0)
 
 
@@ -139,34 +128,33 @@ Parameters = Annotated[
 ]
 
 FEWEST_DEGREES = 0.99
-"""Degrees of freedom without which no U is stated, those of two readings, one, but for its rounding: t is then beyond
-14, and soon beyond any use, and says less of the value than of how little is known of u."""
+"""Degrees of freedom of a stated U at least: one, as of two readings, but for rounding. With fewer, t exceeds 14."""
 
 
 def stated_factor(degrees: float | None) -> float | None:
-    """The coverage factor for so many degrees of freedom, infinite where None; None where they are too few for a U."""
+    """Return the coverage factor for degrees of freedom, infinite if None; None if they are too few for a U."""
     count = inf if degrees is None else degrees
     return None if count < FEWEST_DEGREES else coverage_factor(count)
 
 
 def coverage_factor(degrees: float) -> float:
-    """t₉₅.₄₅(ν): within ±k u lies the true value in 95.45 of 100 cases, u being estimated with ν degrees of freedom."""
+    """Return t₉₅.₄₅(ν), the coverage factor for u with ν degrees of freedom."""
     return float(-scipy.special.stdtrit(degrees, 0.5 * erfc(sqrt(2.0)))) if isfinite(degrees) else 2.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SourceContributions(Source):
-    """A source of uncertainty, and what it has in the u of parameters of a calibration, SI, by their names; nothing in
-    those that are not there."""
+    """A source of uncertainty with its contributions to the u of parameters, SI, by their names; others have none."""
 
     contributions: Mapping[str, Size]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Readings:
-    """What the readings of n sensors are: SI = (raw − offset) / scale of the log's columns, for increments divided by
-    the interval of the sample. `scale` (n,) and `offset` (n,) are in the log's `unit`. Of a table, `row_u` (n,) is the
-    standard uncertainty of one row, SI, beside the scatter between positions; empty where that is all there is."""
+    """Conversion of the readings of n sensors: SI = (raw − offset) / scale, for increments divided by the interval.
+
+    `scale` (n,) and `offset` (n,) are in the log's `unit`. For a table `row_u` (n,) is the standard uncertainty of one
+    row, SI, without the scatter between positions; empty if it is part of the scatter."""
 
     columns: tuple[str, ...]
     unit: str
@@ -178,8 +166,7 @@ class Readings:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SensorsAtRest:
-    """Of each of n sensors over a rest, SI: mean reading, density of its noise (unit/√Hz) and drift, its change; and
-    the temperature of its thermometer, °C, where they have some."""
+    """Readings of n sensors over a rest, SI: mean, noise density (unit/√Hz), drift (change), and temperature, °C."""
 
     mean: Vector
     noise: Vector
@@ -198,8 +185,9 @@ AtRest = Annotated[SensorsAtRest, AfterValidator(_of_equal_length)]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RestResult:
-    """A rest as used: times (s), residual |corrected reading| − g (m/s²) and how many sigmas it is from the fit; the
-    code of its attitude in the programme, what its sensors read, and the temperature (°C), where there are such."""
+    """A rest as used: times, s, residual |corrected reading| − g, m/s², and its distance from the fit in sigmas.
+
+    It has the code of its attitude in the programme, the readings of its sensors and its temperature, °C, if known."""
 
     file: Count = 0
     start: float
@@ -213,15 +201,15 @@ class RestResult:
 
     @property
     def temperatures(self) -> tuple[float, ...]:
-        """Those of its sensors, °C, the accelerometers first; that of the rest where they are not known apart."""
-        of_sensors = sum((sensors.temperature for sensors in (self.accel, self.gyro) if sensors is not None), ())
-        return of_sensors or (() if self.temperature is None else (self.temperature,))
+        """Temperatures of the sensors, °C, accelerometers first, or that of the rest."""
+        by_sensor = sum((sensors.temperature for sensors in (self.accel, self.gyro) if sensors is not None), ())
+        return by_sensor or (() if self.temperature is None else (self.temperature,))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TurnResult:
-    """A turn from one rest to another (from 0) as used: its duration (s), its angle as the calibrated gyros saw it and
-    as the programme has it (rad, 0 … π; None where there is none) and how many sigmas it is from the fit."""
+    """A turn as used, from one rest to another, counted from 0: its duration, s, its angle by the calibrated gyros and
+    by the programme, rad, 0 … π or None, and its distance from the fit in sigmas."""
 
     first: Count
     last: Count
@@ -231,13 +219,12 @@ class TurnResult:
     sigmas: float
 
 
-# -------------------- what stands in the file as a table of its own --------------------
+# -------------------- tables of the file --------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SensorTable:
-    """The linear model of a kind of sensor, reading = matrix @ true + bias; beside it the file has, by name, the values
-    of the groups beyond it."""
+    """Linear model of a kind of sensor, reading = matrix @ true + bias. The file also has the groups beyond it."""
 
     matrix: Matrix
     bias: Vector
@@ -255,7 +242,7 @@ def _model_of(table: SensorTable) -> SensorModel:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class JudgementTable:
-    """A verdict on a kind of sensors or a group of parameters, and the sentences it is of."""
+    """Verdict on a kind of sensors or a group of parameters, with its sentences."""
 
     verdict: Any = None
     reasons: tuple[str, ...]
@@ -264,9 +251,9 @@ class JudgementTable:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class OutcomeTable:
-    """Whether the values can be used, and if not, why, and which kinds of sensors and groups of parameters a sentence
-    concerns. By these the accelerometers, the gyros and groups of parameters are judged, which the file has for others
-    to read."""
+    """Verdict on a calibration, with the kinds of sensors and groups of parameters that each sentence concerns.
+
+    The judgements on accelerometers, gyros and groups follow from these; the file has them for other programs."""
 
     accepted: Any = None
     verdict: str | None = None
@@ -285,7 +272,7 @@ def _outcome_of(table: OutcomeTable) -> Outcome:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class IncrementTable:
-    """What an iteration has added to a parameter."""
+    """Increment of a parameter in an iteration."""
 
     name: str
     increment: float
@@ -293,13 +280,13 @@ class IncrementTable:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class IterationTable:
-    """What an iteration has added."""
+    """Increments of an iteration."""
 
     parameters: tuple[IncrementTable, ...]
 
 
 class RecordedImu(ImuTable, extra="ignore"):
-    """Which sensors of an autopilot, where they are of one."""
+    """Sensors of an autopilot."""
 
 
 def _check_site(site: Site) -> Site:
@@ -314,15 +301,14 @@ def _square(rows: tuple[tuple[float, ...], ...]) -> Array:
     return np.array(rows, float).reshape(len(rows), len(rows))
 
 
-Sensors = Annotated[SensorModel, FromTable(table=SensorTable, read=_model_of)]
-Judged = Annotated[Outcome, FromTable(table=OutcomeTable, read=_outcome_of)]
+ModelFromTable = Annotated[SensorModel, FromTable(table=SensorTable, read=_model_of)]
+OutcomeFromTable = Annotated[Outcome, FromTable(table=OutcomeTable, read=_outcome_of)]
 Increments = Annotated[
     Mapping[str, float],
     FromTable(table=IterationTable, read=lambda step: {p.name: p.increment for p in step.parameters}),
 ]
 Imu = Annotated[
-    Mapping[str, AutopilotSensor],
-    FromTable(table=RecordedImu, read=lambda table: sensors_from(table.model_dump())),
+    Mapping[str, AutopilotSensor], FromTable(table=RecordedImu, read=lambda table: sensors_from(table.model_dump()))
 ]
 Covariance = Annotated[Array, FromTable(table=Matrix, read=_square)]
 Place = Annotated[Site, checked_sizes("gravity_u"), AfterValidator(_check_site)]
@@ -333,8 +319,7 @@ Turns = Annotated[tuple[TurnResult, ...], Field(max_length=MOST_RESTS)]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibratedDevice:
-    """The device: its serial number and its type, and which "accel" and "gyro" of an autopilot were recorded, where
-    they are of one."""
+    """Serial number and type of the device, and the recorded "accel" and "gyro" if it is an autopilot."""
 
     serial: Name
     model: Name | None = None
@@ -343,9 +328,10 @@ class CalibratedDevice:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CalibratedTemperature:
-    """At which temperatures, °C, parameters that change with it have their values: the reference, of several
-    thermometers the mean; of rests that are not in the file the range; and of each sensor of "accel" and "gyro" the
-    column of its thermometer and the reference by that, where there are such."""
+    """Reference temperatures of the parameters, °C.
+
+    `reference` is the mean over the thermometers, `range` that of rests that are not in the file. `thermometers` and
+    `references` have, for each sensor of "accel" and "gyro", the column of its thermometer and its own reference."""
 
     reference: float | None = None
     range: tuple[float, float] | None = None
@@ -353,9 +339,8 @@ class CalibratedTemperature:
     references: Mapping[str, Vector] = field(default_factory=dict)
 
 
-def checked_result(result: Launch) -> Launch:
-    """The result. Raises ValueError, with the key, for a covariance that no parameters have, or turns between no
-    rests."""
+def check_result(result: Launch) -> Launch:
+    """Return the result. Raises ValueError, with the key, for an impossible covariance, or turns between no rests."""
     for name, count in Counter(parameter.name for parameter in result.parameters).items():
         if count > 1:
             raise ValueError(f"parameters: expected every name once, found {name!r} twice")
@@ -409,9 +394,10 @@ class Launch:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Member:
-    """One of several sessions in one estimate: its name, the SHA-256 of its log and its date (ISO 8601), how many rests
-    and turns it has, those that warm counted part by part, the lowest and the highest temperature of its rests, °C, and
-    the parameters that it has of its own."""
+    """One of several sessions in one estimate.
+
+    It has the numbers of its rests, of those that warm part by part, and turns, the lowest and highest temperature of
+    its rests, °C, and the parameters of this session alone; `date` is ISO 8601."""
 
     session: str
     log_sha256: str
@@ -439,15 +425,14 @@ _PerParameter, _PerSession = Field(max_length=MOST_PARAMETERS), Field(max_length
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
-    """Data and fit behind the parameters of a calibration: the rests and turns that were used, with their residuals; by
-    group of residuals chi-square, degrees of freedom and estimated scatter; the quantities of the noise model that were
-    estimated (scatter, in-run biases, sizes of groups of parameters), and how the posterior was integrated over them;
-    contributions to the u of every parameter by source, empty in a frame other than that of the estimate; the increment
-    of every parameter in each iteration; and the sessions whose calibrations were averaged, or that were estimated
-    together.
+    """Data and fit behind the parameters of a calibration.
 
-    `process_bias` has biases as the means of their processes, about which those of the next minutes vary; the
-    parameters are those of the session. Empty unless the frame is that of the accelerometers."""
+    `fits` have chi-square, degrees of freedom and scatter by group of residuals, `hyperparameters` the estimated
+    quantities of the noise model, over which the posterior was integrated (`integral`). `process_bias` are the means of
+    the in-run processes, about which the biases of the next minutes vary; empty unless the frame is that of the
+    accelerometers. `budget` has the contributions to u by source, empty in another frame than that of the estimate,
+    and `iterations` the increments of the parameters. `launches` are sessions whose calibrations were averaged,
+    `together` those of one estimate."""
 
     rests: Rests = ()
     turns: Turns = ()
@@ -459,21 +444,19 @@ class Evidence:
     process_bias: Annotated[tuple[Annotated[ProcessBias, checked_sizes("u", "next_u")], ...], _PerParameter] = ()
     budget: Annotated[tuple[Annotated[SourceContributions, checked_sizes("u")], ...], _PerParameter] = ()
     iterations: tuple[Increments, ...] = ()
-    launches: Annotated[tuple[Annotated[Launch, AfterValidator(checked_result)], ...], _PerSession] = ()
+    launches: Annotated[tuple[Annotated[Launch, AfterValidator(check_result)], ...], _PerSession] = ()
     together: Annotated[tuple[Member, ...], _PerSession] = ()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Provenance:
-    """Recording, circumstances and software that a calibration comes from: the SHA-256 of the log (of several logs, of
-    the list of theirs), program and version, the time of computing (ISO 8601), and the devices of the type whose
-    calibrations served as prior; the place, the samples per second and the relative standard uncertainty of the time
-    base, as it is in the scale factors of the gyros; date, operator, equipment and air; the name of the programme; and
-    of "accel", "gyro" and "mag" columns, unit and nominal scale.
+    """Recording, circumstances and software of a calibration.
 
-    In sentences, the `notes` are remarks on the recording and the estimate, the `assumptions` what was taken for
-    granted of the log and the place, and what to state instead, and `absent` the sensors of the device that the
-    calibration does not have, and why."""
+    `log_sha256` is that of the log or of the list of several, `created` the time of computing, ISO 8601, `prior` names
+    the devices of the type whose calibrations were the prior, `sample_rate` is in Hz, and `clock_u` is the relative
+    standard uncertainty of the time base. `readings` describe "accel", "gyro" and "mag". `notes` are sentences on the
+    recording and the estimate, `assumptions` on what was not stated, and `absent` on sensors that the calibration does
+    not have."""
 
     log_sha256: str | None = None
     software: str | None = None

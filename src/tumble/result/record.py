@@ -1,6 +1,6 @@
-"""A calibration as data: the fields that its file has, and what corrects readings by them.
+"""Fields of a calibration, and the correction of readings by them.
 
-The modules beside it take this class; `Calibration` is it with what a user asks of it.
+The functions of this folder take `CalibrationData`; its subclass `Calibration` has the methods for users.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from tumble.result.parts import (
     CalibratedTemperature,
     Covariance,
     Evidence,
-    Judged,
     Launch,
+    ModelFromTable,
     Name,
+    OutcomeFromTable,
     Parameter,
     Parameters,
     Provenance,
-    Sensors,
     checked_sizes,
 )
 from tumble.sensors.compensation import Compensator
@@ -48,7 +48,7 @@ def _of_unit_length(axis: tuple[float, ...]) -> tuple[float, ...]:
 
 _Direction = Annotated[tuple[float, ...], Field(min_length=3, max_length=3), AfterValidator(_of_unit_length)]
 SensingAxes = tuple[_Direction, ...]
-"""Sensing directions, a row a sensor."""
+"""Sensing directions, a row per sensor."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
@@ -60,10 +60,10 @@ class CalibrationData(Mapping[str, Parameter]):
     frame: Name
     parameters: Parameters
     covariance: Covariance | None
-    accel: Sensors | None
-    gyro: Sensors | None
-    mag: Sensors | None = None
-    outcome: Judged
+    accel: ModelFromTable | None
+    gyro: ModelFromTable | None
+    mag: ModelFromTable | None = None
+    outcome: OutcomeFromTable
     groups: Annotated[
         tuple[Annotated[GroupFinding, checked_sizes("prior", "prior_widened")], ...], Field(max_length=MOST_PARAMETERS)
     ] = ()
@@ -75,33 +75,35 @@ class CalibrationData(Mapping[str, Parameter]):
 
     @property
     def serial(self) -> str:
-        """The serial number of the device."""
+        """Serial number of the device."""
         return self.device.serial
 
     @property
     def model(self) -> str | None:
-        """The type of the device."""
+        """Type of the device."""
         return self.device.model
 
     @property
     def imu(self) -> Mapping[str, AutopilotSensor]:
-        """Which "accel" and "gyro" of an autopilot were recorded, where they are of one."""
+        """Recorded "accel" and "gyro" of an autopilot."""
         return self.device.imu
 
     @property
     def reference_temperature(self) -> float | None:
-        """°C, at which parameters that change with temperature have their values; of several thermometers the mean."""
+        """Reference temperature of the parameters, °C; the mean over several thermometers."""
         return self.temperature.reference
 
     @property
     def compensator(self) -> Compensator:
-        """What corrects readings: the whole model. Gyros alone feel the specific force of accelerometers as they are.
-        Raises CalibrationError without any sensors."""
+        """Correction of readings by the whole model.
+
+        Without accelerometers their uncorrected readings serve for the g-sensitivity of gyros. Raises CalibrationError
+        without any sensors."""
         if self.accel is None and self.gyro is None:
             raise CalibrationError("calibration: expected one with accelerometers or gyros, found none")
-        as_they_are = np.array(self.axes.get("accel", np.eye(3)))
-        perfect = SensorModel(matrix=as_they_are, bias=np.zeros(len(as_they_are)))
-        models = perfect if self.accel is None else self.accel, self.gyro
+        axes = np.array(self.axes.get("accel", np.eye(3)))
+        nominal = SensorModel(matrix=axes, bias=np.zeros(len(axes)))
+        models = nominal if self.accel is None else self.accel, self.gyro
         accel = _block(self, "accel", models[0])
         gyro = None if models[1] is None else _block(self, "gyro", models[1])
         values = {p.name: p.value for p in self.parameters if sensor_kind(p.name) != "mag"}
@@ -111,17 +113,16 @@ class CalibrationData(Mapping[str, Parameter]):
 
     @property
     def temperature_range(self) -> tuple[float, float] | None:
-        """The lowest and the highest temperature, °C, that the rests of all launches have of every sensor; None where
-        they have none."""
-        every = chain(self.evidence.rests, *(launch.rests for launch in self.evidence.launches))
-        by_sensor = list(zip(*(rest.temperatures for rest in every if rest.temperature is not None), strict=False))
+        """Lowest and highest temperature, °C, of every sensor in the rests of all launches; None if not known."""
+        rests = chain(self.evidence.rests, *(launch.rests for launch in self.evidence.launches))
+        by_sensor = list(zip(*(rest.temperatures for rest in rests if rest.temperature is not None), strict=False))
         if not by_sensor:
             return self.temperature.range
         low, high = max(map(min, by_sensor)), min(map(max, by_sensor))
         return (low, high) if low <= high else None
 
     def as_launch(self, session: str) -> Launch:
-        """This calibration of one session as one of the launches behind a mean, with the name of the session."""
+        """Return this calibration as one of the launches behind a mean, with the name of its session."""
         return Launch(
             session=session,
             log_sha256=self.provenance.log_sha256 or "",
@@ -135,7 +136,7 @@ class CalibrationData(Mapping[str, Parameter]):
         )
 
     def covariance_of(self, names: Sequence[str]) -> Array | None:
-        """The covariance (m, m) of the parameters of these names; None where there is none."""
+        """Return the covariance (m, m) of parameters, or None."""
         if self.covariance is None:
             return None
         order = list(self)
@@ -143,7 +144,7 @@ class CalibrationData(Mapping[str, Parameter]):
         return np.asarray(self.covariance[np.ix_(chosen, chosen)])
 
     def __getitem__(self, name: str) -> Parameter:
-        """The parameter of that name. Raises KeyError, which says of a calibration without any why it has none."""
+        """Return the parameter of that name. Raises KeyError, which says why if the calibration has no parameters."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
@@ -155,15 +156,15 @@ class CalibrationData(Mapping[str, Parameter]):
         )
 
     def __iter__(self) -> Iterator[str]:
-        """The names of the parameters."""
+        """Iterate over the names of the parameters."""
         return (parameter.name for parameter in self.parameters)
 
     def __len__(self) -> int:
-        """How many parameters there are."""
+        """Return the number of parameters."""
         return len(self.parameters)
 
     def __bool__(self) -> bool:
-        """True, also without parameters."""
+        """Return True, also without parameters."""
         return True
 
 
@@ -171,38 +172,38 @@ AnyCalibration = TypeVar("AnyCalibration", bound=CalibrationData)
 
 
 def reference_of_parameter(calibration: CalibrationData, name: str) -> float:
-    """The temperature, °C, by the thermometer of its sensor, at which a parameter has its value; 0 where there is
-    none."""
+    """Return the reference temperature of a parameter, °C, by the thermometer of its sensor; 0 if there is none."""
     kind, sensor = sensor_kind(name), within_group(name).partition(".")[0]
-    model, of_all = getattr(calibration, kind, None), calibration.reference_temperature or 0.0
+    model, reference = getattr(calibration, kind, None), calibration.reference_temperature or 0.0
     if kind not in calibration.temperature.references or model is None:
-        return of_all
+        return reference
     block = _block(calibration, "accel" if kind == "accel" else "gyro", model)
     channel = dict(zip(block.sensors, block.channels.tolist(), strict=True)).get(sensor)
-    return of_all if channel is None else float(_references(calibration, block)[channel])
+    return reference if channel is None else float(_references(calibration, block)[channel])
 
 
 def to_references(calibration: CalibrationData, names: Sequence[str], temperature: CalibratedTemperature) -> Array:
-    """What takes (m, m) values of parameters of a calibration to their values at the references of another one."""
-    moved = replace(calibration, temperature=temperature)
-    warmer = [reference_of_parameter(moved, name) - reference_of_parameter(calibration, name) for name in names]
-    return to_temperature(names, np.array(warmer))
+    """Return the matrix (m, m) that converts parameters of a calibration to other reference temperatures."""
+    target = replace(calibration, temperature=temperature)
+    change = [reference_of_parameter(target, name) - reference_of_parameter(calibration, name) for name in names]
+    return to_temperature(names, np.array(change))
 
 
 def _references(calibration: CalibrationData, block: Block) -> Array:
-    """The reference temperature (n,), °C, of each channel of a block."""
-    of_all = block.size * (calibration.reference_temperature or 0.0,)
-    return np.array(calibration.temperature.references.get(block.kind, of_all))
+    """Return the reference temperature (n,), °C, of each channel of a block."""
+    default = block.size * (calibration.reference_temperature or 0.0,)
+    return np.array(calibration.temperature.references.get(block.kind, default))
 
 
 def _block(calibration: CalibrationData, kind: SensorKind, model: SensorModel) -> Block:
-    """The sensors of a kind with their thermometers; along the axes of their model where the nominal ones are not
-    known, those of a triad the body's."""
+    """Return the sensors of a kind with their thermometers.
+
+    If the nominal axes are not known they are those of the model, or the body axes for a triad."""
     axes = model.matrix / np.linalg.norm(model.matrix, axis=1, keepdims=True)
     if kind in calibration.axes:
         axes = np.array(calibration.axes[kind])
     elif len(model.bias) == 3:
-        with suppress(InputError):  # of three that are skew
+        with suppress(InputError):  # three axes that are no triad
             axes = triad_axes(model.matrix)
     columns = calibration.temperature.thermometers
     numbers = {column: t for t, column in enumerate(dict.fromkeys(chain(*columns.values())))}

@@ -1,13 +1,12 @@
-"""What two calibrations of one device err by alike, so that it is no part of a difference between them.
+"""Errors that two calibrations of one device share, and which cancel in their difference.
 
-The uncertainty of gravity, where both used the same stated gravity with the same uncertainty, is in the scale factors
-of the accelerometers; that of the time base, where both of one device state the same one, in those of the gyros. Where
-both know a property of the device by a prior alone, or in part, they err alike by what it truly is: an estimate with
-the covariance C follows the mean of a prior of variance s² by C s⁻², of which one standard deviation changes it by C/s.
-Where s was found with the estimate, what the prior of a group changes is as large as the uncertainty budget says.
-Without a budget all s are larger by one factor, the least with which all these changes together are within C: the
-largest eigenvalue of S⁻¹ C S⁻¹ over the parameters with priors, S = diag(s), is at most 1.
-With g₁ and g₂ what one standard uncertainty of such a source changes in either,
+Shared are: the error of gravity, in the scale factors of accelerometers, if both used the same stated gravity with the
+same uncertainty; that of the time base, in the scale factors of gyros, if both state the same uncertainty; and that of
+the prior of a property of the device. An estimate with the covariance C follows the mean of a prior of variance s² by
+C s⁻², so that one standard deviation of the prior changes it by C/s. Where s was estimated, the changes by the prior of
+a group are scaled to its contribution in the uncertainty budget. Without a budget all s are widened by one factor, the
+least for which all these changes together are within C: the largest eigenvalue of S⁻¹ C S⁻¹, S = diag(s), is then at
+most 1. With g₁ and g₂ the changes of the two calibrations by one standard uncertainty of a shared error,
 
     C(first − second) = C₁ + C₂ − Σ (g₁ g₂ᵀ + g₂ g₁ᵀ)
 """
@@ -20,7 +19,7 @@ import numpy as np
 
 from tumble.inference.sources import clock_effects, clock_errors
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import by_gravity, shared_gravity
+from tumble.result.coverage import gravity_sensitivity, shared_gravity
 from tumble.result.parts import Parameter, SourceContributions
 from tumble.sensors.parameters import group_name, variable_of
 from tumble.units import Array
@@ -29,19 +28,23 @@ GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "what only priors say"
 
 
 def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Array, Array]]:
-    """For every source whose errors both share, what one standard uncertainty of each error changes in all parameters
-    of the first (m₁, k) and of the second (m₂, k)."""
+    """Return, by source, the changes of the parameters of the first (m₁, k) and of the second (m₂, k) by one standard
+    uncertainty of each of k shared errors."""
     changes_by_source = {}
     if shared_gravity(first.provenance.site, second.provenance.site):
         ours, theirs = (
-            by_gravity(each.parameters, each.covariance, each.provenance.site)[:, None] for each in (first, second)
+            gravity_sensitivity(each.parameters, each.covariance, each.provenance.site)[:, None]
+            for each in (first, second)
         )
         changes_by_source[GRAVITY] = (ours, theirs)
     if first.serial == second.serial:
         if first.provenance.clock_u == second.provenance.clock_u > 0.0:
-            changes_by_source[TIME_BASE] = (of_time_base(first)[:, None], of_time_base(second)[:, None])
+            changes_by_source[TIME_BASE] = (
+                time_base_sensitivity(first)[:, None],
+                time_base_sensitivity(second)[:, None],
+            )
         by_ours, by_theirs = (
-            by_priors(each.parameters, each.covariance, each.evidence.budget) for each in (first, second)
+            prior_sensitivities(each.parameters, each.covariance, each.evidence.budget) for each in (first, second)
         )
         names = [name for name in by_ours if name in by_theirs]
         if names:
@@ -50,20 +53,21 @@ def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Ar
     return {source: changes for source, changes in changes_by_source.items() if changes[0].any() and changes[1].any()}
 
 
-def by_priors(
+def prior_sensitivities(
     parameters: Sequence[Parameter], covariance: Array | None, budget: Sequence[SourceContributions] = ()
 ) -> dict[str, Array]:
-    """Change (m,) of parameters, as far as their covariance (m, m) has it, where what a prior is of is one standard
-    deviation of it off its mean: by the name of the parameter that has this prior, if it is a property of the device.
-    The squares over a group are together what its prior contributes by the uncertainty budget, where there is one."""
+    """Return the change (m,) of all parameters by one standard deviation of each prior of a property of the device.
+
+    The keys are the names of the parameters with priors. With a budget the squares over a group sum to the
+    contribution of its prior."""
     if covariance is None:
         return {}
-    priors = {i: p.prior for i, p in enumerate(parameters) if p.prior is not None and is_of_device(p.name)}
+    priors = {i: p.prior for i, p in enumerate(parameters) if p.prior is not None and is_device_property(p.name)}
     if not priors:
         return {}
-    places, s = list(priors), np.array(list(priors.values()))
-    widened = np.sqrt(max(np.linalg.eigvalsh(covariance[np.ix_(places, places)] / np.outer(s, s))[-1], 1.0))
-    changes = {parameters[i].name: covariance[:, i] / (widened * size) for i, size in priors.items()}
+    indices, s = list(priors), np.array(list(priors.values()))
+    widening = np.sqrt(max(np.linalg.eigvalsh(covariance[np.ix_(indices, indices)] / np.outer(s, s))[-1], 1.0))
+    changes = {parameters[i].name: covariance[:, i] / (widening * size) for i, size in priors.items()}
     contributions = {each.name.removeprefix("prior."): each.contributions for each in budget}
     for group in {group_name(name) for name in changes} & set(contributions):
         members = [name for name in changes if group_name(name) == group]
@@ -74,13 +78,13 @@ def by_priors(
     return changes
 
 
-def is_of_device(parameter: str) -> bool:
-    """Whether a parameter or group is a property of the device and not of one session."""
-    return variable_of(parameter) != "time"  # which is another in every session
+def is_device_property(parameter: str) -> bool:
+    """Return True if a parameter or group is a property of the device and not of one session, as drifts are."""
+    return variable_of(parameter) != "time"
 
 
-def of_time_base(calibration: Calibration) -> Array:
-    """What one standard uncertainty of the time base changes in the parameters (m,) of a calibration."""
+def time_base_sensitivity(calibration: Calibration) -> Array:
+    """Return the change (m,) of the parameters of a calibration by one standard uncertainty of the time base."""
     increments = dict.fromkeys(("accel", "gyro"), False)
     increments |= {kind: readings.increments for kind, readings in calibration.provenance.readings.items()}
     return clock_errors(

@@ -7,18 +7,18 @@ navigated by its inertial sensors alone for a time t, without turning. To first 
     heading   ψ = ω_u t                                                                                          (2)
     position  r = ½ (f + g f/g) t² + g ω t³/6                                                                    (3)
 
-f is the horizontal error of the specific force at rest, and ω and ω_u the errors of the rate about the horizontal axes
-and the vertical. Levelling tilts the attitude by f/g, so that f and the gravity that the tilt feigns cancel in the
-heading of the levelling. After the turn f has turned with the body and the tilt has not: over all headings the two are
-uncorrelated, and add up in quadrature. ω t tilts the attitude further, which feigns g ω t, integrated twice in (3).
+f is the horizontal error of the specific force at rest, and ω and ω_u are the errors of the rate about the horizontal
+axes and the vertical. Levelling tilts the attitude by f/g; at that heading the component of gravity that the tilt adds
+cancels f. After the turn f has turned with the body and the tilt has not: over all headings the two are uncorrelated
+and add in quadrature. The drift ω t adds the acceleration g ω t, integrated twice in (3).
 
 With the biases b and the axis angles α of the accelerometers, and the gyro biases β, over all three axes up or down,
 
     f² = (2/3) Σ b² + (g²/3) Σ α²,   ω² = (2/3) Σ β²,   ω_u² = (1/3) Σ β²                                        (4)
 
-summed over both horizontal axes. Before calibration these are the values of the parameters themselves, and after it
-their variances in the next recording, with in-run bias and, if it is known, with the changes from launch to launch.
-Noise, scale factors (which need a motion) and the Earth's rate times the errors of the gyros are left out.
+summed over both horizontal axes. Before calibration the squares are those of the parameters themselves, after it their
+variances in the next recording, with in-run bias and, where known, changes from launch to launch. Noise, scale factors
+(which need a motion) and the Earth's rate times the errors of the gyros are neglected.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ import numpy as np
 
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
-from tumble.result.correction import errors_left
+from tumble.result.correction import correction_errors
 from tumble.rotation import left_inverse
 from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import beyond_linear, group_name
@@ -50,8 +50,10 @@ class Unaided:
 
 
 def unaided(calibration: Calibration, seconds: float = SECONDS) -> tuple[Unaided, Unaided] | None:
-    """Errors of a vehicle without aid for so many seconds, before and after calibration; None if the calibration lacks
-    accelerometers, gyros or uncertainties, has more than three sensors of a kind, or does not know biases or axes."""
+    """Return the errors of a vehicle without aid for some seconds, before and after calibration.
+
+    None if the calibration lacks accelerometers, gyros, uncertainties, biases or axis angles, or has more than three
+    sensors of a kind."""
     accel, gyro, site = calibration.accel, calibration.gyro, calibration.provenance.site
     if accel is None or gyro is None or len(accel.bias) != 3 or len(gyro.bias) != 3:
         return None
@@ -85,28 +87,29 @@ def unaided(calibration: Calibration, seconds: float = SECONDS) -> tuple[Unaided
 
 
 def improvement(calibration: Calibration) -> tuple[str, ...]:
-    """What the calibration improves, in up to two sentences, as far as it is known: by how much readings are off, and
-    a vehicle after SECONDS without aid.
+    """Return up to two sentences on what the calibration improves: errors of readings, and of a vehicle without aid.
 
-    After calibration readings are off by their standard uncertainty; before it also by what is corrected, the root mean
-    square over all attitudes at rest, and over all axes at the rate of the session's turns. Only of sensors that are
-    accepted."""
-    prediction, accepted, parts = calibration.prediction, accepted_kinds(calibration), list[str]()
+    After calibration the error of a reading is its standard uncertainty; before it also the correction, as root mean
+    square over all attitudes at rest, or over all axes at the rate of the session's turns. Sensors that are not
+    accepted are left out."""
+    prediction, accepted, clauses = calibration.prediction, accepted_kinds(calibration), list[str]()
     if prediction is not None and "accel" in accepted:
         before, after = _off_by(calibration, "accel", prediction.force_u)
-        parts.append(f"at rest off by {_change(before, after, _FORCES, 0.01)}")
+        open_angles = any(group_name(name) == "accel.axis" for name in calibration.outcome.unobservable)
+        why = " (these rests do not determine the axis angles)" if open_angles else ""
+        clauses.append(f"at rest off by {_change(before, after, _FORCES, 0.01)}{why}")
     if prediction is not None and prediction.rate_u is not None and prediction.at_rate and "gyro" in accepted:
         before, after = _off_by(calibration, "gyro", prediction.rate_u)
         rate = prediction.at_rate
-        parts.append(
+        clauses.append(
             f"rates off by {_change(before / rate, after / rate, _PARTS, 0.01)} of {two_digits(rate / DEGREE)} °/s"
         )
-    lines = ["; ".join(parts)] if parts else []
-    if (both := unaided(calibration)) is not None and len(accepted) == len(both):
-        changes = (("tilt", _ANGLES), ("heading", _ANGLES), ("position", _LENGTHS))
-        first, last = both
-        clauses = (f"{name} {_change(getattr(first, name), getattr(last, name), units)}" for name, units in changes)
-        lines.append(f"after {SECONDS:.0f} s without aid: {', '.join(clauses)}")
+    lines = ["; ".join(clauses)] if clauses else []
+    if (before_and_after := unaided(calibration)) is not None and len(accepted) == len(before_and_after):
+        errors = (("tilt", _ANGLES), ("heading", _ANGLES), ("position", _LENGTHS))
+        first, last = before_and_after
+        changes = (f"{name} {_change(getattr(first, name), getattr(last, name), units)}" for name, units in errors)
+        lines.append(f"after {SECONDS:.0f} s without aid: {', '.join(changes)}")
     return tuple(lines)
 
 
@@ -116,18 +119,19 @@ _ANGLES = ((DEGREE / 3600.0, "″"), (DEGREE / 60.0, "′"), (DEGREE, "°"))
 _LENGTHS = ((1e-2, " cm"), (1.0, " m"), (1e3, " km"))
 
 
-def _change(corrected: float, left: float, units: Sequence[tuple[float, str]], limit: float = 1.0) -> str:
-    """Errors before and after with an arrow, each in the largest unit of which it is at least `limit`: what is left
-    afterwards was there before, beside what is corrected."""
-    shown = ((value, *coarsest(units, value, limit=limit)) for value in (hypot(corrected, left), left))
+def _change(corrected: float, remaining: float, units: Sequence[tuple[float, str]], limit: float = 1.0) -> str:
+    """Return both errors with an arrow between, each in the largest unit of which it is at least `limit`.
+
+    Before calibration there was the correction beside the error that remains."""
+    shown = ((value, *coarsest(units, value, limit=limit)) for value in (hypot(corrected, remaining), remaining))
     return " → ".join(f"{two_digits(value / size)}{name}" for value, size, name in shown)
 
 
 def _off_by(calibration: Calibration, kind: SensorKind, u: float) -> tuple[float, float]:
-    """Root mean square error, SI, of vectors of readings that are taken as they are, and the standard uncertainty of
-    the length of the error of corrected ones, where that of each sensor is u."""
+    """Return the root mean square error of vectors of uncorrected readings, and the standard uncertainty of corrected
+    ones where that of each sensor is u, SI."""
     block, _ = calibration.compensator.sensors(kind)
     assert block is not None
     nominal = left_inverse(block.axes)
-    off = errors_left(calibration, kind, lambda readings: readings @ nominal.T)
+    off = correction_errors(calibration, kind, lambda readings: readings @ nominal.T)
     return float(np.sqrt(np.mean(off**2))), u * float(np.linalg.norm(nominal))

@@ -1,10 +1,10 @@
-"""The uncertainty budget of a calibration: by source what every u is made of.
+"""Uncertainty budget of a calibration: the contributions to the u of every parameter by source.
 
 u² = Σ c_s² u_s² over independent sources, as EA-4/02 lists them: the estimate x_s of the input quantity, its standard
 uncertainty u_s and distribution, the sensitivity |c_s| = contribution/u_s, the contribution |c_s| u_s and its share of
-u². The reference standards, gravity, the Earth's rate and the time base, have a line even where they contribute
-nothing. All other input quantities are errors, whose estimate is 0. A source of several quantities, such as the limits
-of all biases, scale factors and angles, enters as one correction of the parameter: u_s is its contribution, c_s is 1.
+u². The reference standards, gravity, the Earth's rate and the time base, have a line even if they contribute nothing.
+All other input quantities are errors with the estimate 0. A source of several quantities, such as the limits of all
+biases, scale factors and angles, enters as one correction of the parameter: u_s is its contribution, c_s is 1.
 
 Source: EA-4/02 M:2022, section 4; JCGM 100:2008 (GUM), 5.1 and G.4.
 """
@@ -26,20 +26,15 @@ from tumble.result.record import CalibrationData
 from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind
 from tumble.units import Array
 
-ROUNDING = 1e-15
-"""Of a variance: less is none."""
-REFERENCES: Mapping[str, tuple[str, ...]] = {
-    "accel": ("gravity",),
-    "gyro": ("gravity", "earth", "clock"),
-    "mag": (),
-}
-"""The reference standards that the sensors of a kind are compared with."""
+ROUNDING = 1e-15  # of a variance: a smaller contribution is zero
+REFERENCES: Mapping[str, tuple[str, ...]] = {"accel": ("gravity",), "gyro": ("gravity", "earth", "clock"), "mag": ()}
+"""Reference standards of each kind of sensor."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class BudgetLine(Source):
-    """What a source has in the u of a parameter, SI: the `estimate` of its input quantity, the `sensitivity` |c_i|, the
-    `contribution` |c_i| u_i and its `share` of u²."""
+    """Contribution of a source to the u of a parameter, SI: the `estimate` of its input quantity, the `sensitivity`
+    |c_s|, the `contribution` |c_s| u_s and its `share` of u²."""
 
     estimate: float
     sensitivity: float
@@ -48,15 +43,16 @@ class BudgetLine(Source):
 
     @staticmethod
     def of(each: Source, **others: Any) -> BudgetLine:
-        """The line of a source, with the other fields."""
+        """Return the line of a source with the other fields."""
         return BudgetLine(**_as_source(each), **others)
 
 
 def contributions_of(
     budget: UncertaintyBudget | None, names: Sequence[str], basis: Mapping[str, str] | None = None
 ) -> tuple[SourceContributions, ...]:
-    """The sources of a budget with what they have in the u of its parameters, which are these; `basis` says by group
-    what the size of its prior rests on."""
+    """Return the sources of a budget with their contributions to the u of its parameters, whose `names` are given.
+
+    `basis` says, by group of parameters, where the size of its prior comes from."""
     if budget is None:
         return ()
     variances = np.diagonal(budget.covariances, axis1=1, axis2=2)
@@ -77,8 +73,9 @@ def _as_source(each: Source) -> dict[str, Any]:
 
 
 def uncertainty_budget(calibration: CalibrationData, name: str) -> tuple[BudgetLine, ...]:
-    """The budget of a parameter, the largest contribution first. Raises KeyError for a name that is none, and
-    CalibrationError where the calibration has no budget."""
+    """Return the budget of a parameter, the largest contribution first.
+
+    Raises KeyError for an unknown name, and CalibrationError if the calibration has no budget."""
     parameter = calibration[name]
     if not calibration.evidence.budget:
         raise CalibrationError(
@@ -103,7 +100,7 @@ def uncertainty_budget(calibration: CalibrationData, name: str) -> tuple[BudgetL
 
 
 def with_references(calibration: CalibrationData) -> tuple[SourceContributions, ...]:
-    """The budget, and after it the reference standards that have nothing in the u of any parameter."""
+    """Return the budget, and after it the reference standards that contribute to no parameter."""
     site, budget = calibration.provenance.site, calibration.evidence.budget
     standards = (
         source("gravity", 0.0 if site is None else site.gravity_u, "m/s^2"),
@@ -116,8 +113,10 @@ def with_references(calibration: CalibrationData) -> tuple[SourceContributions, 
 
 
 def shares_by_group(calibration: CalibrationData) -> dict[str, Array]:
-    """The mean share (S,) of every source in u² of the parameters of each group of the linear model, by its name."""
-    variances = _variances(calibration)
+    """Return the mean share (S,) of every source in u² over each group of the linear model, by its name."""
+    budget = calibration.evidence.budget
+    contributions = [[source.contributions.get(name, 0.0) for name in calibration] for source in budget]
+    variances = np.reshape(contributions, (len(budget), len(calibration))) ** 2
     groups: dict[str, list[int]] = {}
     for i, name in enumerate(calibration):
         if not beyond_linear(name):
@@ -127,18 +126,13 @@ def shares_by_group(calibration: CalibrationData) -> dict[str, Array]:
 
 
 def shares_of_priors(calibration: CalibrationData) -> dict[str, dict[str, float]]:
-    """What the sizes of priors rest on, such as a data sheet or a guessed grade or other units of the type, each with
-    the mean share of u² by group of the linear model that rests on it."""
+    """Return, by basis of the sizes of priors, their mean share in u² over each group of the linear model.
+
+    A basis is a data sheet, a guessed grade or other units of the type."""
     shares, by_basis = shares_by_group(calibration), dict[str, dict[str, float]]()
     for s, each in enumerate(calibration.evidence.budget):
         basis = "other units of the type" if each.name == "type" else each.basis
         for group, share in shares.items() if basis else ():
-            of_basis = by_basis.setdefault(basis, {})
-            of_basis[group] = of_basis.get(group, 0.0) + float(share[s])
+            groups = by_basis.setdefault(basis, {})
+            groups[group] = groups.get(group, 0.0) + float(share[s])
     return by_basis
-
-
-def _variances(calibration: CalibrationData) -> Array:
-    """The variances (S, m) that sources have in parameters."""
-    every = [[source.contributions.get(name, 0.0) for name in calibration] for source in calibration.evidence.budget]
-    return np.array(every).reshape(len(every), len(calibration)) ** 2

@@ -1,4 +1,4 @@
-"""The main job: from a session to a calibration."""
+"""Calibration of the device of a session."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration, calibration_from, read_calibration
 from tumble.result.parts import Provenance
 from tumble.rotation import UP
-from tumble.run.from_estimate import bridged_in, reference_of, result_of, without_result
+from tumble.run.from_estimate import build_calibration, gap_notes, mean_temperature, refused_calibration
 from tumble.run.observed import Progress, inspected, observations_for_calibration
-from tumble.run.warming import calibrate_warming, lies_still
+from tumble.run.warming import calibrate_warming, is_still
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
@@ -51,14 +51,12 @@ _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
-NOISIER = 10.0
-"""Times the white noise usual of a grade: no unit of it is as noisy. Of the units of a class it differs by 3."""
-CLOCK_CONTRADICTED = 3.0
-"""Times the standard uncertainty of the time base: a clock that is off by more is a remark, and else a note."""
+OTHER_GRADE_NOISE = 10.0  # ratio to the usual white noise of a grade; within a grade it differs by 3
+CLOCK_CONTRADICTED = 3.0  # u of the time base, from which on an error of the clock is a remark instead of a note
 
 
 def _imported(module: str, name: str) -> Callable[..., Estimate]:
-    """A method that is imported when it is first called: a calibration needs one of four."""
+    """Return a method that is imported when it is first called."""
     return lambda *args, **words: getattr(import_module(f"tumble.methods.{module}"), name)(*args, **words)
 
 
@@ -70,7 +68,7 @@ UNSCALED = (
 ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
     name: _imported("paper.four_stages", name.replace("-", "_")) for name in ("sequential", "scalar", "scalar-nominal")
 }
-"""The pipelines of the paper, which take a number of iterations."""
+"""Methods of the paper, which take a number of iterations."""
 
 
 @checked
@@ -101,19 +99,20 @@ def calibrate(
     frame
         Frame of the result: `accelerometer`, `paper`, `symmetric` or `case`.
     terms
-        `full`, or `linear` for bias, scale factor and axis angles alone, with what else is usual in their u.
+        `full`, or `linear` for bias, scale factor and axis angles alone; the other groups are then in their u with the
+        usual size.
     without
-        Numbers from 1 of rests to leave out, beside those that the session excludes.
+        Numbers from 1 of rests to leave out, in addition to those that the session excludes.
     prior
-        What calibrations of other devices of the type say, such as `Registry.prior` gives, in place of sizes that are
-        usual for the grade; for the method `joint` with all terms.
+        Prior from calibrations of other devices of the type, such as `Registry.prior` gives, in place of sizes usual
+        for the grade; for the method `joint` with all terms.
     base
-        Calibration of the device, or its file, whose biases get coefficients over temperature by a recording at rest
+        Calibration of the device, or its file, whose biases get coefficients over temperature from a recording at rest
         while it warms or cools; for the method `joint` with all terms.
     progress
-        Function that gives the chunks of a log as they are read, such as one that draws a bar.
+        Function that yields the chunks of a log as they are read, such as one that draws a bar.
     **arrays
-        Readings in memory and what is stated of them, see `tumble.types.SensorArrays`. Of gyros alone the biases are
+        Readings in memory and their description, see `tumble.types.SensorArrays`. For gyros alone the biases are
         calibrated.
 
     Returns
@@ -124,7 +123,7 @@ def calibrate(
     Raises
     ------
     InputError
-        For input that cannot be used.
+        If the input cannot be used.
 
     Examples
     --------
@@ -165,25 +164,22 @@ def calibrate(
         raise InputError("base: expected the method joint with all terms, no prior and no frame, found others")
     if frame != "accelerometer":
         Convention(frame=frame, block=recording.accel_block)
-    at_one = None if base is None else calibration_from(base)
-    calibration = _calibrated(recording, method, estimator, frame, terms, progress, prior, at_one)
+    base_calibration = None if base is None else calibration_from(base)
+    calibration = _calibrated(recording, method, estimator, frame, terms, progress, prior, base_calibration)
     if recording.log.gyro is not stated.log.gyro:
         calibration = _with(calibration, notes=(UNSCALED,))
     if not recording.excluded:
         return calibration
-
-    from tumble.result.accepted import accepted_kinds
-
-    # what is accepted without some rests only is a choice, and no u contains it: the outcome of all counts too
+    # rests left out are a choice that no u contains: the outcome of the whole recording is given too
     try:
-        every = replace(recording, excluded=())
-        of_all = _calibrated(every, method, estimator, frame, terms, progress, prior, at_one).outcome
+        whole = replace(recording, excluded=())
+        outcome = _calibrated(whole, method, estimator, frame, terms, progress, prior, base_calibration).outcome
     except InputError as error:  # a rest too many for the programme, such as a knocked one
-        of_all = Outcome(reasons=(str(error),))
-    of_whole = f"with what was left out: {': '.join(filter(None, [of_all.verdict, '; '.join(of_all.reasons)]))}"
-    chosen = tuple(kind for kind in accepted_kinds(calibration) if not of_all.of(kind))
-    remark = f"accepted without what was left out only, a choice of which u contains nothing; {of_whole}"
-    return _with(calibration, remarks={remark: chosen}) if chosen else _with(calibration, notes=(of_whole,))
+        outcome = Outcome(reasons=(str(error),))
+    note = f"with what was left out: {': '.join(filter(None, [outcome.verdict, '; '.join(outcome.reasons)]))}"
+    by_choice = tuple(kind for kind in accepted_kinds(calibration) if not outcome.of(kind))
+    remark = f"accepted without what was left out only, a choice of which u contains nothing; {note}"
+    return _with(calibration, remarks={remark: by_choice}) if by_choice else _with(calibration, notes=(note,))
 
 
 def _calibrated(
@@ -197,61 +193,65 @@ def _calibrated(
     base: Calibration | None,
     clock: ClockByEarth | None = None,
 ) -> Calibration:
-    """The calibration from what a session does not leave out; made anew with the `clock` by the Earth's rate where this
-    contradicts that of the log."""
-    systematic = systematic_of(session)
-    with ThreadPoolExecutor(max_workers=1) as beside:
-        observed = inspected(session, progress, beside)
+    """Calibrate with the rests that a session does not leave out.
+
+    If the Earth's rate contradicts the clock of the log, the estimate is repeated with the `clock` that it shows."""
+    systematic = passport_values(session)
+    options = (estimator, systematic, terms, prior, clock)
+    with ThreadPoolExecutor(max_workers=1) as executor:
+        observed = inspected(session, progress, executor)
         observations = observations_for_calibration(observed, joint=method == "joint")
-        if base is not None or (method == "joint" and lies_still(observed)):
-            return calibrate_warming(observed, base, provenance_of(observed.sha256))
-        options = (estimator, systematic, terms, prior, clock)
-        estimate = observations if isinstance(observations, Outcome) else estimated(session, observations, *options)
-    if clock is None and not isinstance(estimate, Outcome) and (clock := clock_by_earth(estimate[0])) is not None:
+        if base is not None or (method == "joint" and is_still(observed)):
+            return calibrate_warming(observed, base, new_provenance(observed.sha256))
+        if isinstance(observations, Outcome):
+            result: tuple[Estimate, Observations] | Outcome = observations
+        else:
+            result = estimate_observations(session, observations, *options)
+    if clock is None and not isinstance(result, Outcome) and (clock := clock_by_earth(result[0])) is not None:
         log = replace(session.log, clock_rate=session.log.clock_rate * clock.rate, clock_u=clock.u)
-        made = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, base, clock)
+        repeated = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, base, clock)
         sentence = clock.sentence(" and ".join(clock_effects(clock.u, log.increments)) or "no parameter")
         contradicted = abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * session.log.time_base_u
-        return _with(made, remarks={sentence: ()}) if contradicted else _with(made, notes=(sentence,))
-    bridged = (*bridged_in(observed.gaps), *observed.segmentation.unused())
+        return _with(repeated, remarks={sentence: ()}) if contradicted else _with(repeated, notes=(sentence,))
+    bridged = (*gap_notes(observed.gaps), *observed.segmentation.unused())
     provenance = replace(
-        provenance_of(observed.sha256),
+        new_provenance(observed.sha256),
         sample_rate=observed.rate,
         circumstances=observed.circumstances,
         assumptions=assumptions(session),
     )
-    if isinstance(estimate, Outcome):
-        calibration = without_result(session, method, estimate, provenance, bridged)
+    if isinstance(result, Outcome):
+        calibration = refused_calibration(session, method, result, provenance, bridged)
     else:
-        calibration = result_of(session, *estimate, systematic, frame, provenance, bridged)
+        calibration = build_calibration(session, *result, systematic, frame, provenance, bridged)
         faults = (*observed.gyro_faults, *observed.gyro_bias_faults)
-        at_fault = [calibration.outcome.concerns.get(reason, ("",))[0] for reason in calibration.outcome.accel.reasons]
-        by_gyros = bool(at_fault) and all(part.startswith("gyro") for part in at_fault)
-        # the accelerometers are better off alone
+        concerned = [calibration.outcome.concerns.get(reason, ("",))[0] for reason in calibration.outcome.accel.reasons]
+        by_gyros = bool(concerned) and all(part.startswith("gyro") for part in concerned)
         if by_gyros and method == "joint" and not isinstance(observations, Outcome):
-            alone = estimated(session, observations.of_accelerometers(), *options)
-            if not isinstance(alone, Outcome):
-                of_accel = result_of(session, *alone, systematic, frame, provenance, bridged)
-                missing = any(name.startswith("accel") for name in of_accel.outcome.unobservable)
-                if of_accel.outcome.accel.accepted and not missing:
-                    of_gyros = calibration.outcome.gyro.reasons
-                    because = (f"{why}; the accelerometers are estimated alone" for why in of_gyros)
-                    estimate, calibration, faults = alone, of_accel, (*because, *faults)
-        little = unused_quiet_time(observed.segmentation, in_motion=estimate[1].links is not None)
+            accel_result = estimate_observations(session, observations.of_accelerometers(), *options)
+            if not isinstance(accel_result, Outcome):
+                accel_only = build_calibration(session, *accel_result, systematic, frame, provenance, bridged)
+                missing = any(name.startswith("accel") for name in accel_only.outcome.unobservable)
+                if accel_only.outcome.accel.accepted and not missing:
+                    reasons = calibration.outcome.gyro.reasons
+                    because = (f"{reason}; the accelerometers are estimated alone" for reason in reasons)
+                    result, calibration, faults = accel_result, accel_only, (*because, *faults)
+        estimate, used = result
+        little = unused_quiet_time(observed.segmentation, in_motion=used.links is not None)
         remarks: dict[str, tuple[str, ...]] = dict.fromkeys(little, ())
-        if estimate[0].gyro is not None and not session.log.increments["gyro"]:
-            grade, _ = grade_of(session, estimate[1])
-            remarks |= dict.fromkeys(doubtful_time_base(estimate[0], grade_named(grade).gyro.scale), ("gyro.scale",))
-        notes = motion_note(estimate[0], estimate[1]) if accepted_kinds(calibration) else ()
+        if estimate.gyro is not None and not session.log.increments["gyro"]:
+            grade, _ = grade_of(session, used)
+            remarks |= dict.fromkeys(doubtful_time_base(estimate, grade_named(grade).gyro.scale), ("gyro.scale",))
+        notes = motion_note(estimate, used) if accepted_kinds(calibration) else ()
         calibration = _with(calibration, notes=notes, remarks=remarks)
         if session.log.magnetometer is not None:
             from tumble.run.magnetometer import with_magnetometer
 
-            calibration = with_magnetometer(calibration, estimate[0], session.log.magnetometer, estimate[1])
-        if prior is not None and estimate[0].of_type:
+            calibration = with_magnetometer(calibration, estimate, session.log.magnetometer, used)
+        if prior is not None and estimate.of_type:
             calibration = replace(calibration, provenance=replace(calibration.provenance, prior=prior.words))
         if faults:
-            lost = () if session.gyro_block is None or estimate[0].gyro is not None else session.gyro_block.names
+            lost = () if session.gyro_block is None or estimate.gyro is not None else session.gyro_block.names
             part, outcome = "gyro" if lost else "gyro.bias", calibration.outcome
             outcome = replace(
                 outcome,
@@ -271,8 +271,9 @@ def _with(
     notes: Iterable[str] = (),
     remarks: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
 ) -> Calibration:
-    """The calibration with further notes, and with further remarks, each with the kinds of sensors or groups of
-    parameters that it concerns, all where there are none."""
+    """Return the calibration with further notes and remarks.
+
+    `remarks` maps each to the kinds of sensors or groups of parameters that it concerns; empty means all."""
     outcome, provenance = calibration.outcome, calibration.provenance
     concerns = {**outcome.concerns, **{remark: concerned for remark, concerned in remarks.items() if concerned}}
     return replace(
@@ -282,8 +283,8 @@ def _with(
     )
 
 
-def systematic_of(session: Session) -> Mapping[str, float]:
-    """Values of the systematic (passport) calibration a session names, by parameter name."""
+def passport_values(session: Session) -> Mapping[str, float]:
+    """Return the values of the systematic (passport) calibration that a session names, by parameter name."""
     if session.device.systematic is None:
         return {}
     passport = read_calibration(session.device.systematic)
@@ -296,32 +297,31 @@ def systematic_of(session: Session) -> Mapping[str, float]:
 
 
 def with_grade(session: Session, observations: Observations) -> Observations:
-    """The observations with what is usual for instruments of the grade of a session's device, sizes of the groups
-    beyond the linear model and of in-run biases, with a note of the grade."""
+    """Return the observations with the sizes of parameter groups and in-run biases usual for the grade of the
+    device."""
     grade, guessed_from = grade_of(session, observations)
     sheet, noise = session.device.prior, grade_named(grade).noise
-    usual = prior_sizes(grade, sheet)
+    sizes = prior_sizes(grade, sheet)
     note = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
     origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
-    of_grade = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
+    basis = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
     return replace(
         observations,
-        usual=usual,
-        size_basis={name: "data sheet" if name in sheet else of_grade for name in usual},
-        too_small=size_factors(grade, usual, sheet, guessed=bool(guessed_from)),
+        usual=sizes,
+        size_basis={name: "data sheet" if name in sheet else basis for name in sizes},
+        too_small=size_factors(grade, sizes, sheet, guessed=bool(guessed_from)),
         in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
         notes=(*observations.notes, note + origin),
     )
 
 
 def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
-    """The grade of a session's device, and in words what it had to be guessed from, nothing where it is the stated one.
+    """Return the grade of a session's device, and what it was guessed from, or "" if it is the stated one.
 
-    It is guessed by the rests alone where none is stated, and where the recording rules the stated one out: where a
-    poorer one is guessed, and gyros, or accelerometers without any, are NOISIER than those of the stated grade, or
-    gyros have biases that none of it has."""
+    It is guessed if none is stated, and if the recording excludes the stated one: the guess is a poorer grade, and the
+    noise exceeds OTHER_GRADE_NOISE times that of the stated one, or gyros have biases that it does not have."""
     rests, links = observations.rests, observations.links
-    white = {  # typical densities of the noise, SI/√Hz: at rest, or in motion where there is no rest
+    white = {  # median noise density, SI/√Hz: at rest, or in motion without rests
         kind: float(np.median(noise))
         for kind, noise in (("accel", rests.accel_noise), ("gyro", rests.gyro_noise))
         if noise.size
@@ -334,12 +334,12 @@ def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
     if stated is None:
         return guess, because
     kind = "gyro" if "gyro" in white else "accel"
-    noisier = white[kind] > NOISIER * getattr(grade_named(stated).noise, f"{kind}_white")
+    noisier = white[kind] > OTHER_GRADE_NOISE * getattr(grade_named(stated).noise, f"{kind}_white")
     poorer = order.index(guess) > order.index(stated)
     return (guess, because) if poorer and (noisier or because != "the noise") else (stated, "")
 
 
-def estimated(
+def estimate_observations(
     session: Session,
     observations: Observations,
     method: Estimator,
@@ -348,7 +348,7 @@ def estimated(
     prior: DevicePrior | None = None,
     clock: ClockByEarth | None = None,
 ) -> tuple[Estimate, Observations] | Outcome:
-    """The estimate and what it was made from, or why there is none."""
+    """Return the estimate by a method and its observations, or an Outcome with the reason if there is none."""
     by_clock = clock_effects(session.log.time_base_u, session.log.increments) | dict(clock.changes if clock else {})
     linear_joint = method is joint and terms == "linear"
     observations = with_grade(session, observations)
@@ -357,22 +357,19 @@ def estimated(
     notes, unstamped = observations.notes, session.log.unstamped
     observations = replace(observations, start=start, by_clock=by_clock, unstamped=unstamped)
     try:
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples, of which it breaks down
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples
             estimate = linear_model.linear_joint(observations) if linear_joint else method(observations)
-        if estimate.method != "joint":  # which counts the time base itself
-            change, relative = (
-                clock_errors(estimate.names, by_clock),
-                max(map(abs, by_clock.values()), default=0.0),
-            )
-            of_clock, budget = np.outer(change, change), estimate.budget
-            budget = None if budget is None else budget.with_source(source("clock", relative, "1"), of_clock)
-            estimate = replace(estimate, covariance=estimate.covariance + of_clock, budget=budget)
+        if estimate.method != "joint":  # the method joint includes the time base
+            change, relative = clock_errors(estimate.names, by_clock), max(map(abs, by_clock.values()), default=0.0)
+            clock_covariance, budget = np.outer(change, change), estimate.budget
+            budget = None if budget is None else budget.with_source(source("clock", relative, "1"), clock_covariance)
+            estimate = replace(estimate, covariance=estimate.covariance + clock_covariance, budget=budget)
         if linear_joint or estimate.method != "joint":
             notes += linear_model.omitted_groups_note(estimate)
             estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
-            estimate, of_type = with_prior(estimate, observations, prior, reference_of(observations))
-            notes += of_type
+            estimate, prior_notes = with_prior(estimate, observations, prior, mean_temperature(observations))
+            notes += prior_notes
         grade, guessed_from = grade_of(session, observations)
         if session.device.grade is not None and guessed_from:
             remark = (
@@ -388,31 +385,31 @@ def estimated(
 
 
 def assumptions(session: Session) -> tuple[str, ...]:
-    """What a session does not state and the estimate assumes, a sentence each, with what would replace it."""
-    site, log, out = session.site, session.log, list[str]()
+    """Return a sentence for each assumption about a session, with the statement that would replace it."""
+    site, log, sentences = session.site, session.log, list[str]()
     by_clock = clock_effects(log.time_base_u, log.increments)
     mm = f"{1e3 * site.gravity_u:.2g} mm/s²"
     if site.assumed == "height":
-        out.append(
+        sentences.append(
             f"the height is not stated: gravity is that of sea level to {mm}, as of 1300 m, which is in the u of "
             "accel.scale; state height_m in [site] (--height), or gravity"
         )
     elif site.assumed == "digits" and site.gravity_u:
-        out.append(
+        sentences.append(
             f"gravity is taken to its last digit, {mm}, which is in the u of accel.scale; state gravity_u in [site]"
         )
     if log.clock_u is None and by_clock:
         clock = "stamps of a crystal" if log.rate is None else "a sample rate without time stamps"
         size = f"{1e6 * log.time_base_u:.0f} ppm" if log.rate is None else f"{1e2 * log.time_base_u:.0f} %"
-        out.append(
+        sentences.append(
             f"no uncertainty of the time base is stated: {size}, as of {clock}, is in the u of "
             f"{' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact"
         )
-    out += [f"doubt: {log.doubt}"] if log.doubt else []
-    return tuple(out)
+    sentences += [f"doubt: {log.doubt}"] if log.doubt else []
+    return tuple(sentences)
 
 
-def provenance_of(log_sha256: str) -> Provenance:
-    """Log, program and time of a calibration that is made now."""
+def new_provenance(log_sha256: str) -> Provenance:
+    """Return the provenance of a calibration made now."""
     created = datetime.now(UTC).isoformat(timespec="seconds")
     return Provenance(log_sha256=log_sha256, software=f"tumble {__version__}", created=created)

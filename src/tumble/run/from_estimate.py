@@ -1,5 +1,4 @@
-"""From an estimate to a calibration: its parameters, rests, turns, and in sentences what was bridged or left out and
-what the session does not tell."""
+"""Build a `Calibration` from an estimate and its observations, with notes on the recording."""
 
 from __future__ import annotations
 
@@ -42,15 +41,14 @@ if TYPE_CHECKING:
     from tumble.run.case import CaseAlignment
 
 LAGS = {"accel.lag": "accelerometers", "gyro.lag": "gyros"}
-SEEN = 3.0
-"""Of u: a slope over temperature that is seen."""
+SIGNIFICANT_SLOPE = 3.0  # u, of a slope over temperature
 GAPS_SHOWN = 5
 ONE_RATE = 1.3
-"""The largest rate of the turns, root mean square, in parts of the smallest, where they count as one rate: at rest,
-scale factors that change with the square of the rate would be known seven times worse than at it."""
+"""Ratio of the largest to the smallest rms rate of turns below which they count as one rate: for other rates, scale
+factors that change with the square of the rate would be known seven times worse."""
 
 
-def result_of(
+def build_calibration(
     session: Session,
     estimate: Estimate,
     observations: Observations,
@@ -59,19 +57,19 @@ def result_of(
     provenance: Provenance,
     bridged: tuple[str, ...] = (),
 ) -> Calibration:
-    """The calibration of an estimate; `bridged` are notes of the gaps of its log."""
+    """Return the calibration of an estimate; `bridged` are notes on the gaps of its log."""
     outcome = verdict(estimate, observations, gravity_confirmed=observations.site.gravity_confirmed)
     rests, turns = rest_results(estimate, observations), turn_results(estimate, observations)
     blocks = {b.kind: b for b in (observations.accel_block, observations.gyro_block) if b is not None}
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
-    learned, limited = learned_in(estimate), tuple(over_temperature(estimate, observations))
+    priors, thermal_notes = prior_fields(estimate), tuple(temperature_notes(estimate, observations))
     case = None
-    if frame != "accelerometer":  # in which alone the systematic calibration is
-        systematic = {}
-    if frame != "accelerometer" and complete:
-        from tumble.run.case import estimate_in
+    if frame != "accelerometer":
+        systematic = {}  # is in the frame of the accelerometers
+        if complete:
+            from tumble.run.case import estimate_in
 
-        estimate, case = estimate_in(frame, estimate, observations)
+            estimate, case = estimate_in(frame, estimate, observations)
     determined = np.flatnonzero(estimate.observable)
     faces = faces_alone(estimate, outcome.unobservable)
     missing = set() if faces else {sensor_kind(name) for name in outcome.unobservable}
@@ -80,7 +78,7 @@ def result_of(
         device=device_of(session),
         method=estimate.method,
         frame=frame if complete else "accelerometer",
-        parameters=with_degrees(parameters_of(estimate, determined, systematic, learned), estimate.fits),
+        parameters=with_degrees(build_parameters(estimate, determined, systematic, priors), estimate.fits),
         covariance=estimate.covariance[np.ix_(determined, determined)],
         accel=None if "accel" in missing else estimate.accel,
         gyro=None if missing else estimate.gyro,
@@ -89,9 +87,9 @@ def result_of(
         prediction=estimate.prediction,
         axes={kind: tuple(map(tuple, block.axes.tolist())) for kind, block in blocks.items()},
         temperature=CalibratedTemperature(
-            reference=reference_of(observations),
+            reference=mean_temperature(observations),
             thermometers={} if thermometers is None else {kind: thermometers.names(kind) for kind in blocks},
-            references=references_of(observations),
+            references=sensor_temperatures(observations),
         ),
         evidence=Evidence(
             rests=rests,
@@ -112,19 +110,20 @@ def result_of(
             notes=(
                 *(*bridged, *exclusion_notes(session.excluded)),
                 *(*observations.notes, *doubtful_gravity(observations.site)),
-                *_of_the_fit(estimate, observations),
-                *limited,
-                *_of_the_case(case),
+                *_fit_notes(estimate, observations),
+                *thermal_notes,
+                *([] if case is None else [_case_note(case)]),
             ),
             absent=(f"{', '.join(outcome.unobservable)}: not determined by six faces, taken as 0",) if faces else (),
         ),
     )
 
 
-def without_result(
+def refused_calibration(
     session: Session, method: str, outcome: Outcome, provenance: Provenance, bridged: tuple[str, ...] = ()
 ) -> Calibration:
-    """A calibration that says why there is none; `bridged` are notes of the gaps of its log."""
+    """Return a calibration without parameters, whose outcome has the reasons; `bridged` are notes on gaps of its
+    log."""
     return Calibration(
         device=device_of(session),
         method=method,
@@ -139,14 +138,14 @@ def without_result(
 
 
 def device_of(session: Session) -> CalibratedDevice:
-    """The device of a session."""
+    """Return the device of a session."""
     return CalibratedDevice(serial=session.device.serial, model=session.device.model, imu=session.device.imu)
 
 
-def parameters_of(
-    estimate: Estimate, seen: IntArray, systematic: Mapping[str, float], learned: Mapping[str, Mapping[str, float]]
+def build_parameters(
+    estimate: Estimate, determined: IntArray, systematic: Mapping[str, float], priors: Mapping[str, Mapping[str, float]]
 ) -> tuple[Parameter, ...]:
-    """The parameters that the data determine, those `seen`, in the order of the estimate."""
+    """Return the parameters with these indices; `priors` are from `prior_fields`."""
     u, degrees = estimate.u, np.full(len(estimate.names), np.inf) if estimate.degrees is None else estimate.degrees
     return tuple(
         Parameter(
@@ -156,34 +155,35 @@ def parameters_of(
             unit=estimate.units[i],
             deviation=value - systematic[name] if name in systematic else None,
             dof=None if degrees[i] > MANY_DEGREES else float(degrees[i]),
-            **learned.get(name, {}),
+            **priors.get(name, {}),
         )
-        for i, name, value in ((i, estimate.names[i], float(estimate.values[i])) for i in seen.tolist())
+        for i, name, value in ((i, estimate.names[i], float(estimate.values[i])) for i in determined.tolist())
     )
 
 
-def learned_in(estimate: Estimate) -> dict[str, dict[str, float]]:
-    """Prior, as widened, and learned fraction of the parameters of groups beyond the linear model, by name, and of all
-    of which the type of the device says anything."""
+def prior_fields(estimate: Estimate) -> dict[str, dict[str, float]]:
+    """Return the widened prior and the learned fraction of parameters, by name.
+
+    Parameters of groups beyond the linear model have them, and all for which the type of the device has a prior."""
     u = dict(zip(estimate.names, estimate.u.tolist(), strict=True))
-    of_type = {name: {"prior": s, "learned": learned_fraction(u[name], s)} for name, s in estimate.of_type.items()}
+    type_priors = {name: {"prior": s, "learned": learned_fraction(u[name], s)} for name, s in estimate.of_type.items()}
     if estimate.instrument is None:
-        return of_type
+        return type_priors
     return {
         name: {"prior": group.prior * group.prior_widened, "learned": learned}
         for group in estimate.groups
         for name, learned in zip(estimate.names[estimate.instrument.members[group.name]], group.learned, strict=True)
-    } | of_type
+    } | type_priors
 
 
-def reference_of(observations: Observations) -> float | None:
-    """The temperature, °C, at which parameters have their values: the mean of the thermometers over the rests."""
+def mean_temperature(observations: Observations) -> float | None:
+    """Return the reference temperature of the parameters, °C: the mean of the thermometers over the rests."""
     temperature = observations.rests.temperature
     return None if temperature is None else float(temperature.mean()) - ZERO_CELSIUS
 
 
-def references_of(observations: Observations) -> dict[str, tuple[float, ...]]:
-    """The same of each sensor by kind, °C, by its own thermometer."""
+def sensor_temperatures(observations: Observations) -> dict[str, tuple[float, ...]]:
+    """Return the mean temperatures of the sensors over the rests, °C, by kind."""
     kelvin, blocks = observations.rests.temperatures, (observations.accel_block, observations.gyro_block)
     if kelvin is None:
         return {}
@@ -192,7 +192,7 @@ def references_of(observations: Observations) -> dict[str, tuple[float, ...]]:
 
 
 def readings_of_session(session: Session) -> dict[str, Readings]:
-    """What the readings of a session are."""
+    """Return columns, unit, scale and offset of the readings of a session, by kind of sensor."""
     by_kind = {"accel": session.log.accel, "gyro": session.log.gyro, "mag": session.log.magnetometer}
     return {
         kind: Readings(
@@ -208,21 +208,23 @@ def readings_of_session(session: Session) -> dict[str, Readings]:
 
 
 def check_sensors(calibration: Calibration, session: Session) -> None:
-    """Raises InputError for a session of other sensors than those of a calibration, or with counts or volts that are
-    worth something else."""
-    for kind, now in readings_of_session(session).items():
-        model, then = getattr(calibration, kind), calibration.provenance.readings.get(kind)
-        if model is not None and len(model.bias) != len(now.columns):
+    """Raise InputError if the sensors of a session, or the scales of its counts or volts, are not those of a
+    calibration."""
+    for kind, readings in readings_of_session(session).items():
+        model, expected = getattr(calibration, kind), calibration.provenance.readings.get(kind)
+        if model is not None and len(model.bias) != len(readings.columns):
             raise InputError(
                 f"{session.name}: log.{kind}: expected the {len(model.bias)} sensors of the calibration of "
-                f"{calibration.serial!r}, found {len(now.columns)}"
+                f"{calibration.serial!r}, found {len(readings.columns)}"
             )
-        raw = then is not None and {now.unit, then.unit} & {"count", "V"}
-        if then is not None and raw and (now.unit, now.scale, now.offset) != (then.unit, then.scale, then.offset):
+        if expected is None or not {readings.unit, expected.unit} & {"count", "V"}:
+            continue
+        here, then = ((each.unit, each.scale, each.offset) for each in (readings, expected))
+        if here != then:
             raise InputError(
                 f"{session.name}: log.{kind}: expected the unit, scale and offset of the calibration of "
-                f"{calibration.serial!r}, {then.unit}, {then.scale}, {then.offset}, found {now.unit}, {now.scale}, "
-                f"{now.offset}; state them as they were"
+                f"{calibration.serial!r}, {', '.join(map(str, then))}, found {', '.join(map(str, here))}; state them "
+                "as they were"
             )
 
 
@@ -230,8 +232,9 @@ def check_sensors(calibration: Calibration, session: Session) -> None:
 
 
 def rest_results(estimate: Estimate, observations: Observations) -> tuple[RestResult, ...]:
-    """The rests of a calibration, in their order. Raises InputError where the fit ran away, as it may where the rests
-    are in nearly one attitude."""
+    """Return the rests of a calibration.
+
+    Raises InputError if the fit diverged, as it may if all rests are nearly in one attitude."""
     rests = observations.rests
     if not np.isfinite(estimate.rest_residual).all():
         raise InputError(
@@ -267,12 +270,11 @@ def rest_results(estimate: Estimate, observations: Observations) -> tuple[RestRe
 
 
 def turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnResult, ...]:
-    """The turns of a calibration, in their order, with their angles by its gyros and, not negative, by the programme;
-    none of an estimate that has none."""
+    """Return the turns of a calibration, with their angles by its gyros and by the programme."""
     turns, programme, position = observations.turns, observations.programme, observations.position
     if turns is None or not len(estimate.turn_sigmas):
         return ()
-    rotations, linearised = turns.C, estimate.linearised  # nominal ones without gyros, else those of the likelihood
+    rotations, linearised = turns.C, estimate.linearised  # nominal without gyros, else as in the likelihood
     if estimate.gyro is not None and linearised is not None and linearised.about is not None:
         rotations = linearised.rotations
     elif estimate.gyro is not None:
@@ -300,8 +302,8 @@ def turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnRe
 # -------------------- notes --------------------
 
 
-def bridged_in(gaps: Sequence[Gap]) -> tuple[str, ...]:
-    """What was bridged or left out in the log: the first of each kind, and how many more."""
+def gap_notes(gaps: Sequence[Gap]) -> tuple[str, ...]:
+    """Return notes on gaps that were bridged or left out: the first of each kind, and how many more."""
     kinds = {
         "bridged": [gap for gap in gaps if gap.samples and gap.integrable],
         "left out": [gap for gap in gaps if not gap.samples],
@@ -319,17 +321,17 @@ def bridged_in(gaps: Sequence[Gap]) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _of_the_fit(estimate: Estimate, observations: Observations) -> Iterator[str]:
-    """What no redundancy checks, and what turns of about one rate say of scale factors."""
-    alone = observations.links is None
-    if alone and estimate.fits["accelerometers"].degrees < 0.5 and not estimate.unobservable:
+def _fit_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
+    """Return notes on a fit without redundancy, and on turns of one rate."""
+    at_rest = observations.links is None
+    if at_rest and estimate.fits["accelerometers"].degrees < 0.5 and not estimate.unobservable:
         yield "as many rests as accelerometer parameters: nothing checks the fit, a bad rest would go unnoticed"
     turns, about = observations.turns, None if estimate.linearised is None else estimate.linearised.about
     cubic = any(group_name(name) == "gyro.cubic" for name in estimate.names)
     if estimate.method != "joint" or turns is None or about is None or cubic:
         return
-    turned = turns.duration > 0.0  # between the parts of a rest nothing is turned
-    rates = np.sqrt(about.moments.body_rates[turned][:, [0, 3, 5]].sum(axis=1) / turns.duration[turned])
+    is_turn = turns.duration > 0.0  # and not the step between two parts of a rest
+    rates = np.sqrt(about.moments.body_rates[is_turn][:, [0, 3, 5]].sum(axis=1) / turns.duration[is_turn])
     if len(rates) and rates.max() < ONE_RATE * rates.min():
         yield (
             f"all turns have about {rates.mean() / DEGREE:.2g} °/s: the scale factors of the gyros hold at this rate; "
@@ -337,23 +339,17 @@ def _of_the_fit(estimate: Estimate, observations: Observations) -> Iterator[str]
         )
 
 
-def _of_the_case(case: CaseAlignment | None) -> Iterator[str]:
-    """How the case was found."""
-    if case is None:
-        return
+def _case_note(case: CaseAlignment) -> str:
     u = np.sqrt(np.diag(case.alignment.covariance)) / DEGREE
-    plate = "azimuths are not known, so that the tilt of the plate is part of the scatter"
-    if len(case.tilt):
-        lean, lean_u = np.linalg.norm(case.tilt) / DEGREE, np.linalg.norm(case.tilt_u) / DEGREE
-        plate = f"the plate leans by {lean:.2g}° (u {lean_u:.1g}°)"
-    yield (
-        f"case: from {len(case.rests)} rests on its six faces, which scatter by {case.scatter / DEGREE:.2g}° an axis; "
-        f"standard uncertainty of its alignment {u[0]:.2g}°, {u[1]:.2g}°, {u[2]:.2g}° about X, Y, Z; {plate}"
+    return (
+        f"case: from {case.placements} rests on its six faces, which scatter by {case.scatter / DEGREE:.2g}° an axis; "
+        f"standard uncertainty of its alignment {u[0]:.2g}°, {u[1]:.2g}°, {u[2]:.2g}° about X, Y, Z; the tilt of the "
+        "plate is part of the scatter"
     )
 
 
-def over_temperature(estimate: Estimate, observations: Observations) -> Iterator[str]:
-    """What the temperatures of several sessions, or of a session over temperature, determine, and what not."""
+def temperature_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
+    """Return notes on what the temperatures of one or several sessions determine."""
     kelvin, turns = observations.rests.temperature, observations.turns
     if observations.links is not None:
         records = [] if observations.thermometers is None else observations.thermometers.files.values()
@@ -365,7 +361,7 @@ def over_temperature(estimate: Estimate, observations: Observations) -> Iterator
                 "positions"
             )
         return
-    yield from _of_lags(estimate, observations)
+    yield from _lag_notes(estimate, observations)
     if kelvin is None or (observations.together is None and not over_a_range(observations)):
         return
 
@@ -388,9 +384,9 @@ def over_temperature(estimate: Estimate, observations: Observations) -> Iterator
         )
     elif unseen:
         yield f"nothing is seen of {', '.join(unseen)}: turn at more temperatures, each axis up and down"
-    if turns is not None and (turns.duration > 0.0).any():  # rests joined by turns, which alone show scale factors
-        really = turns.duration > 0.0
-        turned = kelvin[np.concatenate([turns.first[really], turns.last[really]])]
+    if turns is not None and (turns.duration > 0.0).any():  # only turns show scale factors of gyros
+        is_turn = turns.duration > 0.0
+        turned = kelvin[np.concatenate([turns.first[is_turn], turns.last[is_turn]])]
         if np.ptp(turned) < 0.5 * np.ptp(kelvin):
             yield (
                 f"turns span {span(turned)} only: how scale factors change beyond that is what is usual; turn at the "
@@ -404,25 +400,25 @@ def over_temperature(estimate: Estimate, observations: Observations) -> Iterator
         )
 
 
-def _of_lags(estimate: Estimate, observations: Observations) -> Iterator[str]:
-    """Which sensors change with the temperatures that there were, and where lags are most of u."""
+def _lag_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
+    """Return notes on sensors that do not change with temperature, and on lags that are most of u."""
     kelvin = observations.rests.temperatures
     if kelvin is None or estimate.budget is None:
         return
-    by_lag = [i for i, source in enumerate(estimate.budget.sources) if source.name == "lag"]
-    of_lag = np.diagonal(estimate.budget.covariances[by_lag], axis1=1, axis2=2).sum(axis=0)
+    lag_sources = [i for i, source in enumerate(estimate.budget.sources) if source.name == "lag"]
+    by_lag = np.diagonal(estimate.budget.covariances[lag_sources], axis1=1, axis2=2).sum(axis=0)
     for name, sensors in LAGS.items():
         if name not in estimate.names:
             continue
         kind = sensor_kind(name)
         slopes = [i for i, n in enumerate(estimate.names) if group_name(n) in (f"{kind}.bias.t1", f"{kind}.scale.t1")]
         bias = [i for i, n in enumerate(estimate.names) if group_name(n) == f"{kind}.bias"]
-        if np.any(of_lag[bias] > 0.5 * estimate.u[bias] ** 2):
+        if np.any(by_lag[bias] > 0.5 * estimate.u[bias] ** 2):
             u = float(estimate.u[estimate.names.index(name)])
             yield (
                 f"how far the {sensors} are behind their thermometer is known to {u:.0f} s only, which is most of the "
                 f"u of {kind}.bias; let the device warm up before, ramp up and down in one recording, or state "
                 f"{kind}_lag in [device.prior]"
             )
-        elif np.all(np.abs(estimate.values[slopes]) < SEEN * estimate.u[slopes]):
+        elif np.all(np.abs(estimate.values[slopes]) < SIGNIFICANT_SLOPE * estimate.u[slopes]):
             yield f"the {sensors} are not seen to change with temperature, over {np.ptp(kelvin):.1f} K"

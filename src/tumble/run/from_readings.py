@@ -1,15 +1,12 @@
-"""From a table of readings to a calibration, by the ellipsoid method, and what is said of it.
+"""Calibration of three accelerometers from a table of readings by the ellipsoid method.
 
-The calibration is in the form of all others; what a table adds is the residual of every position, plain and left out in
-turn, and the coefficients in the form of the source: k in output per g, the angles θ of its upper triangular matrix,
-the bias b referred to the input,
+The rows are the mean readings of rests, in the order and at the pace of an operator's sheet; the estimate is that of
+the method `ellipsoid`. Its u contains quadratic and cubic terms, asymmetry and drift of the sizes usual for the grade,
+or for any grade if none is stated, as far as the residuals allow (`tumble.methods.group_sizes`). `paper_form` converts
+the result to the form of the source: k in output per g, the angles θ of an upper triangular matrix, and the bias b
+referred to the input,
 
     u = diag(k) [[1, θz, θy], [0, 1, θx], [0, 0, 1]] (a + b)                                             (1), (5)
-
-The estimate is that of the method `ellipsoid` from rests, whose means the rows are: with quadratic and cubic terms,
-asymmetry and drift in u, of the sizes usual for the grade, or, where none is stated, for any grade, as far as the
-residuals allow for them (`tumble.methods.group_sizes`). Rows are taken to be in the order and at the pace of an
-operator's sheet.
 """
 
 from __future__ import annotations
@@ -40,19 +37,19 @@ from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
 from tumble.result.parts import CalibratedDevice, Evidence, Readings
-from tumble.run.calibrate import provenance_of
+from tumble.run.calibrate import new_provenance
 from tumble.run.case import estimate_in
-from tumble.run.from_estimate import learned_in, parameters_of
+from tumble.run.from_estimate import build_parameters, prior_fields
 from tumble.run.readings_table import (
     UNITS,
     Nominal,
     ReadingsTable,
+    fitted_outputs,
     nominal_of,
     positions_of,
     read_table,
-    rests_of,
-    sizes_seen,
     table_of,
+    table_rests,
 )
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import GRADES
@@ -60,37 +57,26 @@ from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import FURTHER, Terms, prior_sizes
 from tumble.units import Array, engineering, fitting_units, is_near_one
 
-SCATTER_SAID = 1e-3
-"""Scatter of the positions, in parts of gravity, that is said: u has it, but good instruments have less, or it is that
-of readings with few digits."""
-SCATTER_LIMIT = 2e-2
-"""The same above which a triad does not follow the model."""
-FACES = 6
-"""Positions at least that bias and scale factors of a triad need."""
-RECORDING = 100
-"""Rows from which on a table may be a recording of a device in motion."""
-WILD = 30.0
-"""Times as long as the median of all readings: no sensor reads one vector so differently."""
-LEAST_NOISE = 1e-6
-"""Noise, in parts of gravity, at least of a reading that nothing checks."""
-NAMED = 4
-"""Of more positions than these, the one to look at is not told."""
-BAD_CHANCE = 1e-3
-"""A position is bad where chance alone makes one of the positions so bad in less than this part of all tables."""
-DOUBT_CHANCE = 1e-2
-"""The same where the scatter is more than good instruments have: it is then not that of all positions alike."""
-AT_REST = tuple(
+SCATTER_REMARK = 1e-3  # relative to gravity: good instruments scatter less, but readings of few digits do
+SCATTER_LIMIT = 2e-2  # relative to gravity: a triad that scatters more does not follow the model
+FEWEST_POSITIONS = 6  # for bias and scale factor of each sensor
+RECORDING_ROWS = 100  # from here on a table may be a recording of a device in motion
+WILD_RATIO = 30.0  # to the median length of the readings: no sensor reads one vector so differently
+LEAST_NOISE = 1e-6  # relative to gravity, of a reading that no redundancy checks
+MOST_SUSPECTS = 4  # positions named as the first to look at
+OUTLIER_PROBABILITY = 1e-3  # of one such position by chance in a table, below which it does not fit
+SINGLE_OUTLIER_PROBABILITY = 1e-2  # the same where the scatter is large: it is then not common to all positions
+REST_GROUPS = tuple(
     group.name
     for group in FURTHER
     if group.kind == "accel" and (group.regressors is not None or group.variable == "time")
 )
-"""The groups that a table of readings may have in it: what it says nothing of, a temperature or a motion, is not known
-to have been there."""
+"""Groups of parameters that readings at rest show without a known temperature or motion."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class ReadingsCalibration(Brief):
-    """A calibration from a table; `fit` is None where there is none: of six faces, or where it was refused."""
+    """A calibration from a table; `fit` is None for six faces and if the fit was refused."""
 
     calibration: Calibration
     table: ReadingsTable
@@ -124,22 +110,22 @@ def calibrate_readings(
         Array of shape (N, 3), a row per position; or the path of a CSV file with the names of three columns above the
         rows.
     unit
-        Of the readings: V, count, g or m/s^2.
+        Unit of the readings: V, count, g or m/s^2.
     scale
-        Nominal output per unit, one number or three, signed by polarity; only for V and count, and by default from the
-        readings themselves.
+        Nominal output per unit, one number or three, signed by polarity; only for V and count. By default it is taken
+        from the readings.
     scale_per
         Unit that the scale is per, g (default) or m/s^2.
     gravity, gravity_u
         Gravity and its standard uncertainty, m/s²; by default gravity at the place is the unit and counts as
         9.80665 m/s².
     directions
-        Rough direction (3,) of up in positions by their numbers from 1, which gives the polarity of the columns.
+        Rough direction (3,) of up in positions by their numbers from 1; they give the polarity of the columns.
     rows_per_position
         Number of rows of each position; equal positions count once.
     grade
-        Grade of the accelerometers, by which terms beyond bias, scale factor and axis angles are in u with their usual
-        size; that of any grade if None, as far as the residuals allow for it.
+        Grade of the accelerometers. It gives the usual size with which terms beyond bias, scale factor and axis angles
+        are in u; if None, the size of any grade that the residuals allow.
     terms
         `full`, or `linear` to leave these terms out of u.
     frame
@@ -155,7 +141,7 @@ def calibrate_readings(
     Raises
     ------
     InputError
-        For a table that cannot be read, and for arguments that contradict each other.
+        If the table cannot be read, or arguments contradict each other.
 
     Examples
     --------
@@ -186,25 +172,25 @@ def calibrate_readings(
     _check_lengths(table, nominal)
     if grade is not None:
         grade_named(grade)
-    fitted, noise = _fitted(table, nominal, _sigmas(BAD_CHANCE, table))
+    fitted, noise = _fitted(table, nominal, _sigmas(OUTLIER_PROBABILITY, table))
     fit, estimate, notes = None, None, tuple[str, ...]()
     if isinstance(fitted, EllipsoidFit):
         fit, estimate, notes = _estimated(fitted, noise, table, nominal, grade, terms)
         outcome = Outcome(reasons=tuple(_reasons(table, nominal, fit)), remarks=tuple(_remarks(table, nominal, fit)))
     else:
-        refusal = undetermined(nominal.to_si(rows.values), block=TRIAD) or fitted  # counts the rows as they are written
+        refusal = undetermined(nominal.to_si(rows.values), block=TRIAD) or fitted  # of the rows as they are written
         by_faces = _by_faces(table, nominal, noise, grade, terms) if len(refusal.null) else None
-        misstated = None if len(refusal.null) else _misstated(nominal, sizes_seen(table.values, nominal.gravity))
+        misstated = None if len(refusal.null) else _misstated(nominal, fitted_outputs(table.values, nominal.gravity))
         outcome = Outcome(reasons=(misstated or refusal.reason,), unobservable=TRIAD.names)
         if by_faces is not None:
             estimate, outcome, notes = by_faces
     frame = "accelerometer" if fit is None else frame
-    has_u, learned = fit is None or fit.covariance is not None, {} if estimate is None else learned_in(estimate)
+    has_u, learned = fit is None or fit.covariance is not None, {} if estimate is None else prior_fields(estimate)
     if estimate is not None and frame != "accelerometer":
         estimate, _ = estimate_in(frame, estimate, _rests(table, nominal, np.zeros((3, 3))))
     determined = np.flatnonzero([] if estimate is None else estimate.observable)
-    parameters = () if estimate is None else parameters_of(estimate, determined, {}, learned)
-    # where the scatter is that of all there is, a row has no uncertainty beside it
+    parameters = () if estimate is None else build_parameters(estimate, determined, {}, learned)
+    # if the scatter is estimated from single rows it contains the uncertainty of a row
     row_known = fit is not None and (table.covariance is not None or fit.scatter == 0.0)
     meaning = Readings(
         columns=table.columns,
@@ -227,7 +213,7 @@ def calibrate_readings(
         prediction=None if estimate is None else estimate.prediction,
         evidence=Evidence(fits={} if fit is None else {"accelerometers": fit.fit("m/s^2")}),
         provenance=replace(
-            provenance_of(table.sha256),
+            new_provenance(table.sha256),
             site=replace(_site(nominal), gravity_is_unit=nominal.gravity_u is None),
             readings={"accel": meaning},
             notes=(*table.left_out, *_notes(table, nominal, fit), *notes),
@@ -237,81 +223,86 @@ def calibrate_readings(
 
 
 def _check_lengths(table: ReadingsTable, nominal: Nominal) -> None:
-    """Raises InputError for a reading that is another number than a sensor gave."""
+    """Raise InputError if a reading is far longer than the others."""
     lengths = np.linalg.norm(nominal.to_si(table.values), axis=1)
-    longest, usual = int(np.argmax(lengths)), float(np.median(lengths))
-    if lengths[longest] > WILD * usual > 0.0:
+    longest, median = int(np.argmax(lengths)), float(np.median(lengths))
+    if lengths[longest] > WILD_RATIO * median > 0.0:
         found = ", ".join(f"{value:.6g}" for value in table.values[longest])
         raise InputError(
             f"{table.path}: line {table.lines[longest]}: expected readings of one vector, all about as long, found "
-            f"{found}, {lengths[longest] / usual:.3g} times as long as the median; correct the row or leave it out"
+            f"{found}, {lengths[longest] / median:.3g} times as long as the median; correct the row or leave it out"
         )
 
 
 def _site(nominal: Nominal) -> Site:
-    """The place of the readings, of which only gravity is known."""
     return Site(latitude=None, height=0.0, gravity=nominal.gravity, gravity_u=nominal.gravity_u or 0.0)
 
 
-def _rests(table: ReadingsTable, nominal: Nominal, noise: Array) -> Observations:
-    """The readings as the mean readings of rests, with the covariance `noise` (3, 3) of each."""
-    return rests_of(nominal.to_si(table.values), noise, TRIAD, _site(nominal))
+def _rests(table: ReadingsTable, nominal: Nominal, covariance: Array) -> Observations:
+    """Return the readings as mean readings of rests, with the covariance (3, 3) of each."""
+    return table_rests(nominal.to_si(table.values), covariance, TRIAD, _site(nominal))
 
 
-def _fitted(table: ReadingsTable, nominal: Nominal, bad: float) -> tuple[EllipsoidFit | Refusal, Array]:
-    """The fit without positions beyond `bad` standard deviations, and the covariance (3, 3) of a reading that it was
-    made with. It has the scatter that the residuals show; where they show less than the last digit of the readings
-    explains, that. Of several rows a position it has their own scatter."""
+def _fitted(table: ReadingsTable, nominal: Nominal, outlier_sigmas: float) -> tuple[EllipsoidFit | Refusal, Array]:
+    """Fit the ellipsoid without positions beyond some standard deviations.
+
+    The covariance (3, 3) of a reading is returned too: that of the last digit and of the scatter within positions, or
+    zero if positions are single rows and the residuals exceed it, so that the scatter is estimated from them."""
     readings = nominal.to_si(table.values)
-    fit = partial(fit_ellipsoid, readings, modulus=nominal.gravity, modulus_u=nominal.gravity_u or 0.0, bad_sigmas=bad)
-    floor, within = np.diag((table.resolution_u / nominal.scale) ** 2), table.covariance is not None
+    gravity_u = nominal.gravity_u or 0.0
+    fit = partial(fit_ellipsoid, readings, modulus=nominal.gravity, modulus_u=gravity_u, bad_sigmas=outlier_sigmas)
+    covariance = np.diag((table.resolution_u / nominal.scale) ** 2)
     if table.covariance is not None:
-        floor += table.covariance / np.outer(nominal.scale, nominal.scale)
-    by_digits = fit(covariance=np.broadcast_to(floor, (len(readings), 3, 3)))
-    if isinstance(by_digits, Refusal):
-        return by_digits, floor
-    if within and by_digits.scatter == 0.0 and table.degrees:
-        by_digits = replace(by_digits, noise_degrees=float(table.degrees))
-    if within or (by_digits.degrees > 0 and by_digits.chi_square <= by_digits.degrees):
-        return by_digits, floor
+        covariance += table.covariance / np.outer(nominal.scale, nominal.scale)
+    fitted = fit(covariance=np.broadcast_to(covariance, (len(readings), 3, 3)))
+    if isinstance(fitted, Refusal):
+        return fitted, covariance
+    if table.covariance is not None and fitted.scatter == 0.0 and table.degrees:
+        fitted = replace(fitted, noise_degrees=float(table.degrees))
+    if table.covariance is not None or (fitted.degrees > 0 and fitted.chi_square <= fitted.degrees):
+        return fitted, covariance
     return fit(), np.zeros((3, 3))
 
 
 def _estimated(
     fit: EllipsoidFit, noise: Array, table: ReadingsTable, nominal: Nominal, grade: str | None, terms: Terms
 ) -> tuple[EllipsoidFit, Estimate, tuple[str, ...]]:
-    """The fit, with the positions that what it leaves out makes look bad, the estimate of the method `ellipsoid`, and
-    what its u has of what it leaves out, in words."""
+    """Return the fit, the estimate of the method `ellipsoid`, and a note on the groups of parameters in its u.
+
+    Outliers are fitted too if the groups that the fit leaves out explain all of their residuals."""
     rests = _rests(table, nominal, noise)
     if terms == "linear" or fit.covariance is None:
         return fit, estimate_of(fit, rests), ()
-    every = [prior_sizes(name) for name in (GRADES if grade is None else [grade])]
-    grades = [{name: size for name, size in each.items() if name in AT_REST} for each in every]
+    grades = [
+        {name: size for name, size in prior_sizes(each).items() if name in REST_GROUPS}
+        for each in (GRADES if grade is None else [grade])
+    ]
     sizes = f"usual for the grade {grade}" if grade is not None else "usual for any grade (--grade states one)"
     note = (
         f"quadratic and cubic terms and asymmetry and drift of the sizes {sizes} are in u, as far as the residuals "
         "allow for them; the values take them as nothing, and --terms linear leaves them out"
     )
-    bad = ~fit.used
-    bad[list(fit.doubtful)] = True
-    if bad.any():  # by how much a residual may be off by what is left out
+    is_outlier = ~fit.used
+    is_outlier[list(fit.doubtful)] = True
+    if is_outlier.any():
         largest = {name: max(sizes.get(name, 0.0) for sizes in grades) for sizes in grades for name in sizes}
         problem, _, leaves = omitted_by_rests(replace(rests, usual=largest), fit.values)
-        allowed = _sigmas(BAD_CHANCE, table) * np.linalg.norm(leaves * omitted_sizes(problem, None), axis=1)
-        of_all, noise = _fitted(table, nominal, np.inf)
-        if isinstance(of_all, EllipsoidFit) and np.all(np.abs(of_all.residual) <= np.where(bad, allowed, np.inf)):
-            fit, rests = of_all, _rests(table, nominal, noise)
+        explained = np.linalg.norm(leaves * omitted_sizes(problem, None), axis=1)
+        limit = np.where(is_outlier, _sigmas(OUTLIER_PROBABILITY, table) * explained, np.inf)
+        fit_to_all, noise = _fitted(table, nominal, np.inf)
+        if isinstance(fit_to_all, EllipsoidFit) and np.all(np.abs(fit_to_all.residual) <= limit):
+            fit, rests = fit_to_all, _rests(table, nominal, noise)
     return fit, with_groups(estimate_of(fit, rests), fit, rests, grades), (note,)
 
 
 def _by_faces(
     table: ReadingsTable, nominal: Nominal, noise: Array, grade: str | None, terms: Terms
 ) -> tuple[Estimate, Outcome, tuple[str, ...]] | None:
-    """What positions give that determine bias and scale factor of each accelerometer and no angles, as six faces do, as
-    the method `joint` has them from six logs; None where they do not."""
+    """Return the joint estimate of bias and scale factor from positions that determine no angles, such as six faces;
+    None if the positions are others."""
     rests, readings = _rests(table, nominal, noise), nominal.to_si(table.values)
-    upright = np.abs(rough_directions(readings)).max(axis=1) >= UPRIGHT
-    if not FACES <= len(readings) < RECORDING or not upright.all():
+    is_upright = np.abs(rough_directions(readings)).max(axis=1) >= UPRIGHT
+    if not FEWEST_POSITIONS <= len(readings) < RECORDING_ROWS or not is_upright.all():
         return None
     chosen, middle = grade or [*GRADES][-1], 0.5 * (readings.min(axis=0) + readings.max(axis=0))
     covariance = rests.rests.accel_covariance + (LEAST_NOISE * nominal.gravity) ** 2 * np.eye(3)
@@ -323,20 +314,19 @@ def _by_faces(
         start=dict(zip(TRIAD.names, middle.tolist(), strict=False)),
     )
     try:
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of readings of which it breaks down
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # of readings that contradict the model
             estimate = with_common_tilt(joint(observations), observations)
     except np.linalg.LinAlgError:
         return None
-    of_rows = "" if table.covariance is None else " and the scatter within positions"
-    note = f"nothing checks the readings: u has their last digit{of_rows}, and what is usual for the grade {chosen}"
+    rows = "" if table.covariance is None else " and the scatter within positions"
+    note = f"nothing checks the readings: u has their last digit{rows}, and what is usual for the grade {chosen}"
     return estimate, verdict(estimate, observations), (note,)
 
 
-# -------------------- what is said of it --------------------
+# -------------------- reasons, remarks and notes --------------------
 
 
 def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Iterator[str]:
-    """What speaks against a fit."""
     misstated = _misstated(nominal, np.abs(nominal.scale) * (1.0 + fit.values[3:6]))
     if misstated is not None:
         yield misstated
@@ -357,10 +347,10 @@ def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Itera
 
 
 def _remarks(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Iterator[str]:
-    """What is to be known of a fit that may be accepted."""
-    if SCATTER_SAID < fit.scatter / nominal.gravity <= _limit(table, fit):
+    """Return remarks on a fit that may be accepted."""
+    if SCATTER_REMARK < fit.scatter / nominal.gravity <= _limit(table, fit):
         yield f"{_scatter(table, nominal, fit)}; u has it"
-    if len(table.values) >= RECORDING and table.rows == 1:
+    if len(table.values) >= RECORDING_ROWS and table.rows == 1:
         yield (
             f"{len(table.values)} rows count as positions at rest: of a recording neighbours err alike, and a device "
             "that is moved reads its own motion, of which u has nothing; take a log with `tumble calibrate`"
@@ -368,39 +358,38 @@ def _remarks(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Itera
 
 
 def _limit(table: ReadingsTable, fit: EllipsoidFit) -> float:
-    """The scatter, in parts of gravity, above which there is no result."""
-    single = fit.worst is not None and fit.worst.sigmas > _sigmas(DOUBT_CHANCE, table)
-    return SCATTER_SAID if single else SCATTER_LIMIT
+    """Return the largest scatter that is accepted, relative to gravity."""
+    is_single = fit.worst is not None and fit.worst.sigmas > _sigmas(SINGLE_OUTLIER_PROBABILITY, table)
+    return SCATTER_REMARK if is_single else SCATTER_LIMIT
 
 
 def _scatter(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> str:
-    """That readings scatter by more than they should, and where to look first."""
+    """Say that readings scatter by more than they should, and which positions to look at first."""
     size, unit = engineering("m/s^2", fit.scatter)
-    first, look = () if fit.worst is None else (fit.worst.position, *fit.worst.rivals), ""
-    if fit.worst is not None and len(first) <= NAMED and fit.worst.scatter < 0.5 * fit.scatter:
+    suspects, look = () if fit.worst is None else (fit.worst.position, *fit.worst.rivals), ""
+    if fit.worst is not None and len(suspects) <= MOST_SUSPECTS and fit.worst.scatter < 0.5 * fit.scatter:
         without = f"{fit.worst.scatter / size:.3g} {unit}"
-        look = f"; look first at position {_named(table, sorted(first))}, without which it would be {without}"
-    limit = nominal.gravity * (SCATTER_LIMIT if SCATTER_LIMIT * nominal.gravity < fit.scatter else SCATTER_SAID)
+        look = f"; look first at position {_named(table, sorted(suspects))}, without which it would be {without}"
+    limit = nominal.gravity * (SCATTER_LIMIT if SCATTER_LIMIT * nominal.gravity < fit.scatter else SCATTER_REMARK)
     return f"the positions scatter by {fit.scatter / size:.3g} {unit}, more than {limit / size:.3g} {unit}{look}"
 
 
-def _sigmas(chance: float, table: ReadingsTable) -> float:
-    """Beyond so many standard deviations chance puts one of the positions in this part of all tables."""
-    return float(-scipy.special.ndtri(0.5 * chance / len(table.values)))
+def _sigmas(probability: float, table: ReadingsTable) -> float:
+    """Return the normal quantile that chance exceeds in one of all positions with a probability (Bonferroni)."""
+    return float(-scipy.special.ndtri(0.5 * probability / len(table.values)))
 
 
-def _named(table: ReadingsTable, which: Iterable[int]) -> str:
-    """Positions by number and line."""
-    return " or ".join(f"{i + 1} (line {table.lines[i]})" for i in which)
+def _named(table: ReadingsTable, positions: Iterable[int]) -> str:
+    return " or ".join(f"{i + 1} (line {table.lines[i]})" for i in positions)
 
 
-def _misstated(nominal: Nominal, seen: Array | None) -> str | None:
-    """That the channels' output `seen` (3,), per m/s², is not what scale and unit state, and which would fit."""
-    if nominal.estimated or seen is None or is_near_one(seen / np.abs(nominal.scale)):
+def _misstated(nominal: Nominal, outputs_si: Array | None) -> str | None:
+    """Say that outputs (3,) per m/s² contradict the stated scale and unit, and which would fit."""
+    if nominal.estimated or outputs_si is None or is_near_one(outputs_si / np.abs(nominal.scale)):
         return None
-    per_unit = np.sign(nominal.scale) * seen * UNITS[nominal.per]
+    per_unit = np.sign(nominal.scale) * outputs_si * UNITS[nominal.per]
     stated, outputs = (", ".join(f"{v:.3g}" for v in scale) for scale in (nominal.per_unit, per_unit))
-    fitting = [f"--unit {unit}" for unit in fitting_units(seen, UNITS)]
+    fitting = [f"--unit {unit}" for unit in fitting_units(outputs_si, UNITS)]
     if nominal.unit == nominal.per:
         fault = f"the readings are {outputs} times what --unit {nominal.unit} and gravity give"
     else:
@@ -410,7 +399,7 @@ def _misstated(nominal: Nominal, seen: Array | None) -> str | None:
 
 
 def _notes(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit | None) -> Iterator[str]:
-    """What u has of gravity, where that is not what is usual, and what was taken for scale and polarity."""
+    """Return notes on gravity, scale and polarity, and on a fit without redundancy."""
     u = nominal.gravity_u
     if u is None:
         yield (
@@ -450,8 +439,9 @@ def _notes(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit | None) -> 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class PaperForm:
-    """k (3,) in the table's unit per `per`; θ (x, y, z), rad; b (3,), in units of `per`; with the covariance (9, 9) of
-    all, k, θ, b, None where there is none."""
+    """Coefficients of Eq. (1): k (3,) in the table's unit per `per`, θ (x, y, z), rad, and b (3,) in units of `per`.
+
+    `covariance` (9, 9) is that of k, θ and b; None where there is none."""
 
     k: Array
     theta: Array
@@ -460,7 +450,7 @@ class PaperForm:
 
 
 def paper_form(result: ReadingsCalibration) -> PaperForm:
-    """The coefficients of a fit in the form of Table 1 of the source."""
+    """Return the coefficients of a fit in the form of Table 1 of the source."""
     calibration, nominal = result.calibration, result.nominal
     framed = convert(
         TRIAD,

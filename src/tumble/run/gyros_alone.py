@@ -1,12 +1,12 @@
-"""Gyros alone: the rests of a log without accelerometers, and the biases of its gyros.
+"""Biases of gyros from a log without accelerometers.
 
-Rests are found by the gyros, with accelerometers that read a constant vertical in place of the missing ones. At rest a
-gyro reads its bias, the component of the Earth's rate Ω along its axis, and G·f of the specific force; neither
-direction is known. With the means of N rests, whose noise is σ_k and whose scatter beyond it is s,
+Rests are found by the gyros, with a constant vertical in place of the missing accelerometers. At rest a gyro reads its
+bias, the component of the Earth's rate Ω along its axis, and G·f of the specific force f; neither direction is known.
+With the means of N rests, whose noise is σ_k and whose scatter beyond it is s,
 
     u² = (s² + mean σ_k²)/N + Ω²/3 + (G g)²                                                                      (1)
 
-where G is the usual g-sensitivity of the grade whose noise is nearest. No rest shows scale factors or axes.
+where G is the usual g-sensitivity of the grade with the nearest noise. Rests show no scale factors or axes.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from tumble.result.calibration import Calibration
 from tumble.result.parts import Evidence, Parameter
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.rotation import UP, rotation_matrix, rotation_vector
-from tumble.run.calibrate import provenance_of
-from tumble.run.from_estimate import readings_of_session, without_result
+from tumble.run.calibrate import new_provenance
+from tumble.run.from_estimate import readings_of_session, refused_calibration
 from tumble.run.observed import Progress
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import G_STANDARD, Array
 
-MORE = (
+WHAT_TO_RECORD = (
     "record the accelerometers beside them, put the device down in nine or more positions (`tumble programme` shows "
     "them), and calibrate that log"
 )
@@ -46,8 +46,9 @@ MORE = (
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class GyroRests:
-    """The rests of a log of gyros: its session, in which these stand for accelerometers, blocks and segmentation, the
-    SHA-256 of the log, and of N rests the mean readings (N, 3), rad/s, with standard deviation of their noise."""
+    """Rests of a log of gyros, which take the place of accelerometers in its session.
+
+    `mean` (N, 3) are the readings at rest, rad/s, and `noise` (N, 3) their standard deviations."""
 
     session: Session
     reduction: Reduction
@@ -58,7 +59,7 @@ class GyroRests:
 
     @property
     def turned(self) -> list[float]:
-        """By how much the device was turned after each rest but the last, rad."""
+        """Angles of the turns after each rest but the last, rad."""
         rests, files = self.segmentation.rests, self.reduction.by_file
         angles = list[float]()
         for i, (before, after) in enumerate(pairwise(rests)):
@@ -72,8 +73,9 @@ class GyroRests:
 
 
 def gyro_rests(session: Session, progress: Progress = Log.chunks) -> GyroRests:
-    """The rests of a session in which three gyros stand for the accelerometers (`gyros_in_place`). Raises InputError
-    for another number of them, and where nothing rests."""
+    """Find the rests of a session in which three gyros take the place of the accelerometers (`gyros_in_place`).
+
+    Raises InputError for another number of gyros, and if nothing rests."""
     if session.accel_block.size != 3:
         raise InputError(
             f"gyro: expected three without accelerometers, found {session.accel_block.size}; give accel=… beside them"
@@ -85,7 +87,7 @@ def gyro_rests(session: Session, progress: Progress = Log.chunks) -> GyroRests:
     reduction = reduce_log(log, accel, gyro, chunks)
     segmentation = find_rests(reduction, accel, gyro)
     files = reduction.by_file
-    # where nothing rests the limit is that of the movement, and no vertical says so
+    # if nothing rests the limit is that of the movement, which no vertical shows
     moved = session.log.accel.scale_stated and (segmentation.rate_limit or 0.0) > segmentation.tuning.level_drift
     if not segmentation.rests or moved:
         still = segmentation.tuning.still
@@ -103,33 +105,35 @@ def gyro_rests(session: Session, progress: Progress = Log.chunks) -> GyroRests:
     )
 
 
-def calibrate_gyros(found: GyroRests) -> Calibration:
-    """The biases of gyros alone, Eq. (1). Raises InputError for counts of unknown scale."""
-    session, N = found.session, len(found.mean)
+def calibrate_gyros(rests: GyroRests) -> Calibration:
+    """Return a calibration with the biases of gyros, Eq. (1). Raises InputError for counts of unknown scale."""
+    session, N = rests.session, len(rests.mean)
     if not session.log.accel.scale_stated:
         raise InputError(
             f"{session.device.serial}: expected the unit of the gyros, found none, and nothing tells it without "
             "accelerometers; state --gyro-unit deg/s or another; `tumble noise` tells the noise of counts as it is"
         )
     block = replace(session.accel_block, kind="gyro")
-    seconds = np.array([rest.stop - rest.start for rest in found.segmentation.rests])
-    white = float(np.median(found.noise * np.sqrt(seconds)[:, None]))
+    seconds = np.array([rest.stop - rest.start for rest in rests.segmentation.rests])
+    white = float(np.median(rests.noise * np.sqrt(seconds)[:, None]))
     grade = min(GRADES, key=lambda name: abs(math.log(max(white, 1e-15) / GRADES[name].noise.gyro_white)))
     by_force = usual_sizes(grade)["gyro.g_sensitivity"]
-    of_noise = (found.noise**2).mean(axis=0)
-    scatter = np.maximum(found.mean.var(axis=0, ddof=1) - of_noise, 0.0) if N > 1 else np.zeros(3)
-    parts = {  # Eq. (1)
-        source("gyro.noise"): of_noise / N,
+    noise_variance = (rests.noise**2).mean(axis=0)
+    scatter = np.maximum(rests.mean.var(axis=0, ddof=1) - noise_variance, 0.0) if N > 1 else np.zeros(3)
+    variances = {  # Eq. (1)
+        source("gyro.noise"): noise_variance / N,
         source("gyro.scatter", dof=None if N < 2 else N - 1.0): scatter / N,
         source("earth", EARTH_RATE / math.sqrt(3.0), "rad/s"): np.full(3, EARTH_RATE**2 / 3.0),
         source("prior.gyro.g_sensitivity", by_force, "rad*s/m"): np.full(3, (by_force * G_STANDARD) ** 2),
     }
-    budget = UncertaintyBudget(sources=tuple(parts), covariances=np.array([np.diag(each) for each in parts.values()]))
-    names, covariance, bias = block.names[:3], budget.covariances.sum(axis=0), found.mean.mean(axis=0)
+    budget = UncertaintyBudget(
+        sources=tuple(variances), covariances=np.array([np.diag(each) for each in variances.values()])
+    )
+    names, covariance, bias = block.names[:3], budget.covariances.sum(axis=0), rests.mean.mean(axis=0)
     absent = "gyro.scale, gyro.axis: not shown by gyros alone, taken as 0"
-    nothing = without_result(session, "rest", Outcome(unobservable=block.names[3:]), provenance_of(found.sha256))
+    empty = refused_calibration(session, "rest", Outcome(unobservable=block.names[3:]), new_provenance(rests.sha256))
     return replace(
-        nothing,
+        empty,
         parameters=tuple(
             Parameter(name=name, value=float(value), u=float(u), unit="rad/s")
             for name, value, u in zip(names, bias, np.sqrt(np.diag(covariance)), strict=True)
@@ -139,13 +143,13 @@ def calibrate_gyros(found: GyroRests) -> Calibration:
         axes={"gyro": tuple(map(tuple, block.axes.tolist()))},
         evidence=Evidence(budget=contributions_of(budget, names, {"gyro.g_sensitivity": f"guessed grade {grade}"})),
         provenance=replace(
-            nothing.provenance,
+            empty.provenance,
             site=None,
-            sample_rate=found.reduction.rate,
+            sample_rate=rests.reduction.rate,
             readings={"gyro": readings_of_session(session)["accel"]},
             absent=(absent,),
             assumptions=(
-                f"{absent}; to have them {MORE}",
+                f"{absent}; to have them {WHAT_TO_RECORD}",
                 "the directions of the Earth's rate and of gravity are not known: either, gravity by the g-sensitivity "
                 f"that is usual for the grade {grade}, is in the u of gyro.bias",
                 *([f"doubt: {session.log.doubt}"] if session.log.doubt else []),

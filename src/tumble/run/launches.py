@@ -1,9 +1,8 @@
-"""Several launches (power-ons) of one device: their mean, and how much it changes from launch to launch.
+"""Mean of the calibrations of several launches (power-ons) of one device, with the scatter from launch to launch.
 
-The uncertainty of the mean covers what the launches know of themselves and the instability between them: the mean of
-their covariances over L, or on the diagonal the variance from launch to launch over L where that is larger. The
-uncertainty of gravity is common to all launches of a site, and what is wrong with a prior or the time base to all
-launches: they are taken out of either and do not average out (`tumble.result.coverage`).
+The covariance of the mean of L launches is the mean of their covariances over L; on the diagonal it is the variance
+from launch to launch over L where that is larger. Errors of gravity, priors and the time base are common to all
+launches: they are separated before and do not average out (`tumble.result.coverage`).
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import by_gravity, degrees_of_mean, shared_gravity, welch_satterthwaite
-from tumble.result.launch_variances import LaunchVariances, at_temperature, own_variance, pooled, variance_of_type
+from tumble.result.coverage import degrees_of_mean, gravity_sensitivity, shared_gravity, welch_satterthwaite
+from tumble.result.launch_variances import at_temperature
 from tumble.result.parts import CalibratedTemperature, Evidence, Parameter, SourceContributions, learned_fraction
-from tumble.result.shared_errors import by_priors, is_of_device
+from tumble.result.shared_errors import is_device_property, prior_sensitivities
 from tumble.result.uncertainty_budget import contributions_of
-from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, provenance_of
-from tumble.run.magnetometer import NAMES
+from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, new_provenance
+from tumble.run.magnetometer import PARAMETER_NAMES
 from tumble.run.observed import Progress
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.instrument import Instrument
@@ -47,7 +46,7 @@ _Any = TypeVar("_Any")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Run:
+class LaunchRun:
     """A session and its calibration."""
 
     session: Session
@@ -55,7 +54,7 @@ class Run:
 
     @property
     def name(self) -> str:
-        """What the session is called among the launches."""
+        """Name of the session among the launches."""
         return Path(self.session.name).name or self.session.name
 
 
@@ -67,7 +66,6 @@ def calibrate_launches(
     iterations: int | None = None,
     frame: Frame = "accelerometer",
     terms: Terms = "full",
-    alike: Sequence[LaunchVariances] = (),
     prior: DevicePrior | None = None,
     progress: Progress = Log.chunks,
 ) -> Calibration:
@@ -79,21 +77,19 @@ def calibrate_launches(
         Sessions or the paths of their folders.
     method, iterations, frame, terms, progress
         See `calibrate`.
-    alike
-        Launches of other devices of the type, by which the instability from launch to launch is better known.
     prior
-        See `calibrate`; for one session alone, since in the mean of several it would count as often.
+        See `calibrate`; for one session alone, since the mean of several would contain it several times.
 
     Returns
     -------
     Calibration
-        Of several sessions the mean, with the standard deviation from launch to launch and every launch in its
+        For several sessions the mean, with the standard deviation from launch to launch and every launch in its
         `evidence`.
 
     Raises
     ------
     InputError
-        For sessions of different devices, and for one recording given twice.
+        If the sessions are of different devices, or one recording is given twice.
 
     Examples
     --------
@@ -107,16 +103,16 @@ def calibrate_launches(
         raise InputError("sessions: expected at least one, found none")
     if prior is not None and len(sessions) > 1:
         raise InputError(f"prior: expected one session with it, found {len(sessions)}")
-    words: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "prior": prior}
+    options: dict[str, Any] = {"iterations": iterations, "frame": frame, "terms": terms, "prior": prior}
     runs = [
-        Run(session=session, calibration=calibrate(session, method=method, progress=progress, **words))
+        LaunchRun(session=session, calibration=calibrate(session, method=method, progress=progress, **options))
         for session in map(session_from, sessions)
     ]
-    return mean_of_launches(runs, alike=alike) if len(runs) > 1 else runs[0].calibration
+    return mean_of_launches(runs) if len(runs) > 1 else runs[0].calibration
 
 
-def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = ()) -> Calibration:
-    """Mean of the calibrations of several sessions of one device by the same method, see `calibrate_launches`."""
+def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
+    """Return the mean of calibrations of one device by the same method, see `calibrate_launches`."""
     launches = [run.calibration for run in runs]
     first, session, count = launches[0], runs[0].session, len(runs)
     sources = [launch.provenance for launch in launches]
@@ -130,23 +126,22 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
     check_recordings([run.session for run in runs], digests)
     names = [name for name in first if all(name in launch for launch in launches)]
     references = [launch.temperature.references for launch in launches]
-    alike_sensors = _common([{kind: len(celsius) for kind, celsius in each.items()} for each in references]) or ()
+    kinds = _common([{kind: len(celsius) for kind, celsius in each.items()} for each in references]) or ()
     temperature = CalibratedTemperature(
         reference=_mean_where_known([launch.reference_temperature for launch in launches]),
         thermometers=_common_items([launch.temperature.thermometers for launch in launches]),
-        references={k: tuple(np.mean([each[k] for each in references], axis=0).tolist()) for k in alike_sensors},
+        references={k: tuple(np.mean([each[k] for each in references], axis=0).tolist()) for k in kinds},
     )
     values, covariances = at_temperature(launches, names, temperature)
     clock_u = min(run.session.log.time_base_u for run in runs)
     by_clock = clock_errors(names, clock_effects(clock_u, session.log.increments))
     shared = _shared_covariances(launches, names, covariances, by_clock)
-    instability, pooled_with = _instability(launches, names, values, digests, alike)
-    parameters, covariance, of_launches = _mean_parameters(launches, names, values, covariances, shared, instability)
-    mean, of_common = values.mean(axis=0), sum(each.mean(axis=0) for each in shared.values())
-    budget = _by_source(launches, names, shared, of_launches)
+    parameters, covariance, within = _mean_parameters(launches, names, values, covariances, shared)
+    mean, shared_mean = values.mean(axis=0), sum(each.mean(axis=0) for each in shared.values())
+    budget = _mean_budget(launches, names, shared, within)
     site = first.provenance.site
     for each, part in (
-        (source("launches", dof=None if alike else count - 1.0), covariance - of_launches - of_common),
+        (source("launches", dof=count - 1.0), covariance - within - shared_mean),
         (source("gravity", None if site is None else site.gravity_u, "m/s^2"), shared["gravity"][0]),
         (source("clock", clock_u, "1"), shared["clock"][0]),
     ):
@@ -162,7 +157,7 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
         accel=_mean_model(convention, session.accel_block, by_name),
         gyro=_mean_model(convention, session.gyro_block, by_name),
         mag=None if first.mag is None else _mean_model("accelerometer", block_near(first.mag.matrix), by_name),
-        outcome=Outcome(  # every sentence with the name of its session
+        outcome=Outcome(
             reasons=tuple(f"{run.name}: {reason}" for run in runs for reason in run.calibration.outcome.reasons),
             remarks=tuple(f"{run.name}: {remark}" for run in runs for remark in run.calibration.outcome.remarks),
             unobservable=tuple(dict.fromkeys(name for launch in launches for name in launch.outcome.unobservable)),
@@ -174,38 +169,40 @@ def mean_of_launches(runs: Sequence[Run], *, alike: Sequence[LaunchVariances] = 
         temperature=temperature,
         evidence=Evidence(
             budget=contributions_of(budget, names),
-            iterations=tuple(  # of a launch with fewer iterations the last ones added nothing
+            iterations=tuple(  # a launch with fewer iterations added nothing in the last ones
                 {name: sum(step.get(name, 0.0) for step in steps) / count for name in names}
                 for steps in zip_longest(*(launch.evidence.iterations for launch in launches), fillvalue={})
             ),
             launches=tuple(run.calibration.as_launch(run.name) for run in runs),
         ),
         provenance=replace(
-            provenance_of(digest_of_all(digests)),
+            new_provenance(joint_digest(digests)),
             site=_common([each.site for each in sources]),
             sample_rate=_mean_where_known([each.sample_rate for each in sources]),
             clock_u=clock_u,
-            circumstances=circumstances_of_all([each.circumstances for each in sources]),
+            circumstances=joint_circumstances([each.circumstances for each in sources]),
             programme=_common([each.programme for each in sources]),
             readings=_common_items([each.readings for each in sources]),
-            notes=(*_notes(runs, names), *pooled_with),
+            notes=tuple(_notes(runs, names)),
             assumptions=tuple(dict.fromkeys(chain(*(each.assumptions for each in sources)))),
         ),
     )
 
 
-# -------------------- the statistics of the mean (see `tumble.result.coverage`) --------------------
+# -------------------- statistics of the mean (see `tumble.result.coverage`) --------------------
 
 
 def _shared_covariances(
     launches: Sequence[Calibration], names: Sequence[str], covariances: Array, by_clock: Array
 ) -> dict[str, Array]:
-    """Covariances (L, m, m) of errors that the launches have in common, by source: of gravity where they used one value
-    of it, of the time base, one standard uncertainty of which changes `by_clock` (m,), and of the priors of groups."""
+    """Return covariances (L, m, m) of errors that the launches share, by source.
+
+    The sources are gravity if they used one value of it, the time base, whose standard uncertainty changes the
+    parameters by `by_clock` (m,), and the priors of groups."""
     site, members = launches[0].provenance.site, [[launch[n] for n in names] for launch in launches]
     gravity = np.zeros(len(names))
     if all(shared_gravity(site, launch.provenance.site) for launch in launches):
-        gravity = np.mean([by_gravity(p, C, site) for p, C in zip(members, covariances, strict=True)], axis=0)
+        gravity = np.mean([gravity_sensitivity(p, C, site) for p, C in zip(members, covariances, strict=True)], axis=0)
     shared = {
         "gravity": np.broadcast_to(np.outer(gravity, gravity), covariances.shape),
         "clock": np.broadcast_to(np.outer(by_clock, by_clock), covariances.shape),
@@ -213,42 +210,16 @@ def _shared_covariances(
     for i, (parameters, C, launch) in enumerate(zip(members, covariances, launches, strict=True)):
         changes = [
             (f"prior.{group_name(name)}", np.outer(each, each))
-            for name, each in by_priors(parameters, C, launch.evidence.budget).items()
+            for name, each in prior_sensitivities(parameters, C, launch.evidence.budget).items()
         ]
-        known = {prior for prior, _ in changes}
-        for each in launch.evidence.budget:  # of groups that are in u alone, as with linear terms
+        listed = {prior for prior, _ in changes}
+        for each in launch.evidence.budget:  # groups that are only in u, as with linear terms
             prior, _, group = each.name.partition(".")
-            if prior == "prior" and beyond_linear(group) and each.name not in known and is_of_device(group):
+            if prior == "prior" and beyond_linear(group) and each.name not in listed and is_device_property(group):
                 changes.append((each.name, np.diag([each.contributions.get(name, 0.0) ** 2 for name in names])))
         for prior, square in changes:
             shared.setdefault(prior, np.zeros_like(covariances))[i] += square
     return shared
-
-
-def _instability(
-    launches: Sequence[Calibration],
-    names: Sequence[str],
-    values: Array,
-    digests: Sequence[str],
-    alike: Sequence[LaunchVariances],
-) -> tuple[list[tuple[float, float]], tuple[str, ...]]:
-    """Variance from launch to launch of every parameter with its degrees of freedom, by these launches and, if the
-    device is like them, by those of its type; and notes on that."""
-    others, degrees = [each for each in alike if not each.logs & set(digests)], len(launches) - 1.0
-    instability, unlike, model = [], [], launches[0].model
-    for name, s2 in zip(names, np.var(values, axis=0, ddof=1).tolist(), strict=True):
-        noise = float(np.mean([own_variance(launch, name) for launch in launches]))
-        both = pooled(s2, degrees, variance_of_type(others, name, noise))
-        unlike += [name] if both is None else []
-        instability.append(both or (s2, degrees))
-    if not alike:
-        return instability, ()
-    note = (
-        f"instability from launch to launch: by all launches of {'its type' if model is None else f'the type {model}'} "
-        f"in the registry, {sum(each.degrees for each in alike)} degrees of freedom"
-    )
-    apart = (f"more unstable than the type, and by these launches alone: {', '.join(unlike)}",) if unlike else ()
-    return instability, (note, *apart)
 
 
 def _mean_parameters(
@@ -257,15 +228,14 @@ def _mean_parameters(
     values: Array,
     covariances: Array,
     shared: Mapping[str, Array],
-    instability: Sequence[tuple[float, float]],
 ) -> tuple[tuple[Parameter, ...], Array, Array]:
-    """Parameters of the mean with their covariance (m, m), and the part (m, m) of it from the launches themselves."""
-    count, of_common = len(launches), np.sum([each.mean(axis=0) for each in shared.values()], axis=0)
-    apart = covariances - np.sum([*shared.values()], axis=0)
-    variances = np.diagonal(apart, axis1=1, axis2=2).clip(0.0)
-    of_launches = apart.sum(axis=0) / count**2
-    covariance = of_launches + of_common
-    np.fill_diagonal(of_launches, variances.sum(axis=0) / count**2)
+    """Return the parameters of the mean, their covariance (m, m), and its part (m, m) from within the launches."""
+    count, shared_mean = len(launches), np.sum([each.mean(axis=0) for each in shared.values()], axis=0)
+    unshared = covariances - np.sum([*shared.values()], axis=0)
+    variances = np.diagonal(unshared, axis1=1, axis2=2).clip(0.0)
+    within = unshared.sum(axis=0) / count**2
+    covariance = within + shared_mean
+    np.fill_diagonal(within, variances.sum(axis=0) / count**2)
     parameters = []
     for i, name in enumerate(names):
         each = [launch[name] for launch in launches]
@@ -273,8 +243,8 @@ def _mean_parameters(
         for p, C, variance in zip(each, covariances, variances, strict=True):
             dof = None if p.dof is None or C[i, i] == 0.0 else p.dof * float(variance[i] / C[i, i]) ** 2
             parts.append((float(variance[i]), dof))
-        s2, degrees = instability[i]
-        u, dof = degrees_of_mean(parts, float(np.sqrt(s2)), float(np.sqrt(of_common[i, i])), degrees=degrees)
+        run_to_run = float(np.std(values[:, i], ddof=1))
+        u, dof = degrees_of_mean(parts, run_to_run, float(np.sqrt(shared_mean[i, i])))
         covariance[i, i] = u**2
         prior = max((p.prior for p in each if p.prior is not None), default=None)
         parameters.append(
@@ -284,89 +254,89 @@ def _mean_parameters(
                 u=float(np.sqrt(covariance[i, i])),
                 unit=each[0].unit,
                 deviation=_mean_where_known([p.deviation for p in each]),
-                run_to_run=float(np.std(values[:, i], ddof=1)),
+                run_to_run=run_to_run,
                 dof=dof,
                 prior=prior,
                 learned=None if prior is None else learned_fraction(u, prior),
             )
         )
-    return tuple(parameters), covariance, of_launches
+    return tuple(parameters), covariance, within
 
 
-def _by_source(
-    launches: Sequence[Calibration], names: Sequence[str], shared: Mapping[str, Array], of_launches: Array
+def _mean_budget(
+    launches: Sequence[Calibration], names: Sequence[str], shared: Mapping[str, Array], within: Array
 ) -> UncertaintyBudget:
-    """The budget of the mean by the sources of its launches: each has of the variances in `of_launches` (m, m) the
-    share that it has of the sum of those of the launches, and of a prior beside it what is common to all. Its standard
-    uncertainty is the root mean square over the launches, with the degrees of freedom of that."""
-    every: dict[str, list[SourceContributions]] = {}
+    """Return the budget of the mean by the sources of its launches.
+
+    Each source has the share of the variances `within` (m, m) that it has of the sum over the launches, and a prior
+    also its shared part. Its standard uncertainty is the root mean square over the launches."""
+    by_name: dict[str, list[SourceContributions]] = {}
     for each in chain(*(launch.evidence.budget for launch in launches)):
         if each.name != "clock" and (each.name != "gravity" or not shared["gravity"].any()):
-            every.setdefault(each.name, []).append(each)
-    nothing = np.zeros((1, *of_launches.shape))
-    priors = [shared.get(name, nothing) if name.startswith("prior.") else nothing for name in every]
-    own = [
+            by_name.setdefault(each.name, []).append(each)
+    nothing = np.zeros((1, *within.shape))
+    priors = [shared.get(name, nothing) if name.startswith("prior.") else nothing for name in by_name]
+    unshared = [
         np.sum([[each.contributions.get(n, 0.0) ** 2 for n in names] for each in members], axis=0)
         - np.diagonal(prior, axis1=1, axis2=2).sum(axis=0)
-        for members, prior in zip(every.values(), priors, strict=True)
+        for members, prior in zip(by_name.values(), priors, strict=True)
     ]
-    variances = np.reshape(own, (len(own), len(names))).clip(0.0)
+    variances = np.reshape(unshared, (len(unshared), len(names))).clip(0.0)
     total = variances.sum(axis=0)
     shares = np.divide(variances, total, out=np.zeros_like(variances), where=total > 0.0)
-    budget = UncertaintyBudget(sources=(), covariances=np.empty((0, *of_launches.shape)))
-    for (name, members), prior, share in zip(every.items(), priors, shares, strict=True):
+    budget = UncertaintyBudget(sources=(), covariances=np.empty((0, *within.shape)))
+    for (name, members), prior, share in zip(by_name.items(), priors, shares, strict=True):
         u, dof = [each.u or 0.0 for each in members], None
         if all(each.dof is not None for each in members):
             dof = welch_satterthwaite((size**2, each.dof) for size, each in zip(u, members, strict=True))
         rms = None if members[0].u is None else float(np.sqrt(np.mean(np.square(u))))
         each_source = replace(source(name, rms, members[0].unit, dof), basis=members[0].basis)
-        budget = budget.with_source(each_source, np.diag(share * np.diag(of_launches)) + prior.mean(axis=0))
+        budget = budget.with_source(each_source, np.diag(share * np.diag(within)) + prior.mean(axis=0))
     return budget
 
 
-# -------------------- what the launches have in common --------------------
+# -------------------- values common to the launches --------------------
 
 
 def check_recordings(sessions: Sequence[Session], digests: Sequence[str]) -> None:
-    """Raises InputError where two sessions are one: of logs with the same SHA-256, without the same parts."""
+    """Raise InputError if two sessions have the same log and leave out the same parts."""
     for (one, digest), (other, other_digest) in combinations(zip(sessions, digests, strict=True), 2):
         if digest == other_digest and one.excluded == other.excluded:
             raise InputError(f"{other.name}: holds the same recording as {one.name}; name every recording once")
 
 
-def digest_of_all(digests: Iterable[str]) -> str:
-    """The SHA-256 of those of several logs."""
+def joint_digest(digests: Iterable[str]) -> str:
+    """Return the SHA-256 of a list of SHA-256."""
     return hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
-def circumstances_of_all(each: Sequence[Circumstances]) -> Circumstances:
-    """What is the same in all launches, all their equipment, and the date of the last."""
+def joint_circumstances(circumstances: Sequence[Circumstances]) -> Circumstances:
+    """Return what is the same in all launches, all their equipment, and the date of the last."""
     return Circumstances(
-        date=max((one.date for one in each if one.date is not None), default=None),
-        operator=_common([one.operator for one in each]),
-        conditions=_common([one.conditions for one in each]) or AirConditions(),
-        equipment=tuple(dict.fromkeys(item for one in each for item in one.equipment)),
+        date=max((one.date for one in circumstances if one.date is not None), default=None),
+        operator=_common([one.operator for one in circumstances]),
+        conditions=_common([one.conditions for one in circumstances]) or AirConditions(),
+        equipment=tuple(dict.fromkeys(item for one in circumstances for item in one.equipment)),
     )
 
 
 def _common(values: Sequence[_Any]) -> _Any | None:
-    """What all launches share; None where they differ."""
+    """Return the value if all are equal, else None."""
     return values[0] if all(value == values[0] for value in values) else None
 
 
 def _common_items(values: Sequence[Mapping[str, _Any]]) -> dict[str, _Any]:
-    """The entries that all launches share."""
     return {key: value for key, value in values[0].items() if all(each.get(key) == value for each in values)}
 
 
 def _mean_where_known(values: Sequence[float | None]) -> float | None:
-    """The mean over the launches; None where one has none."""
-    stated = [value for value in values if value is not None]
-    return float(np.mean(stated)) if len(stated) == len(values) else None
+    """Return the mean, or None if a value is None."""
+    return None if None in values else float(np.mean([value for value in values if value is not None]))
 
 
 def _groups(launches: Sequence[Calibration], parameters: Sequence[Parameter]) -> tuple[GroupFinding, ...]:
-    """What all launches together say of each group beyond the linear model; of one that not all have kept, nothing."""
+    """Return the findings on groups beyond the linear model; a group that not all launches have kept has learned
+    nothing."""
     learned: dict[str, list[float]] = {}
     for parameter in parameters:
         if parameter.learned is not None:
@@ -378,9 +348,8 @@ def _groups(launches: Sequence[Calibration], parameters: Sequence[Parameter]) ->
     )
 
 
-def _notes(runs: Sequence[Run], names: list[str]) -> Iterator[str]:
-    """What there is to say of the launches, once, with the launches of which it holds; and which groups of parameters
-    some of them have and not all."""
+def _notes(runs: Sequence[LaunchRun], names: list[str]) -> Iterator[str]:
+    """Return the notes of the launches, each once with their names, and the groups that not all launches have."""
     launches_by_note: dict[str, list[str]] = {}
     for run in runs:
         for note in run.calibration.provenance.notes:
@@ -392,8 +361,8 @@ def _notes(runs: Sequence[Run], names: list[str]) -> Iterator[str]:
         yield f"left out of the mean, not known of every launch: {', '.join(missing)}"
 
 
-def _prediction(runs: Sequence[Run], names: list[str], values: Array, covariance: Array) -> Prediction | None:
-    """What readings corrected with the mean are known to; None where the launches do not say, or in another frame."""
+def _prediction(runs: Sequence[LaunchRun], names: list[str], values: Array, covariance: Array) -> Prediction | None:
+    """Return the uncertainty of readings corrected with the mean; None in other frames or if a launch has none."""
     session, predictions = runs[0].session, [run.calibration.prediction for run in runs]
     further = set(positions_by_group(names))
     instrument = Instrument.of(session.accel_block, session.gyro_block, further, variables=get_args(Variable))
@@ -410,12 +379,9 @@ def _prediction(runs: Sequence[Run], names: list[str], values: Array, covariance
 
 
 def _mean_model(frame: Frame, block: Block | None, values: Mapping[str, float]) -> SensorModel | None:
-    """The sensor model of the mean parameters; None where a launch lacks one of them."""
+    """Return the sensor model of the mean parameters; None if one of them is missing."""
     if block is None:
         return None
-    if block.kind == "mag":
-        return block.model(np.array([values[name] for name in NAMES])) if set(NAMES) <= set(values) else None
-    convention = Convention(frame=frame, block=block)
-    if not set(convention.names) <= set(values):
-        return None
-    return convention.model(np.array([values[name] for name in convention.names]))
+    convention = Convention(frame=frame, block=block) if block.kind != "mag" else block
+    names = convention.names if block.kind != "mag" else PARAMETER_NAMES
+    return convention.model(np.array([values[name] for name in names])) if set(names) <= set(values) else None

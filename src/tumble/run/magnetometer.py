@@ -1,9 +1,8 @@
-"""The magnetometer of a session in its calibration: its parameters beside the others, and what is said of it.
+"""Parameters of the magnetometer of a session in its calibration.
 
-It is part of the estimate of the method `joint` (`tumble.inference.magnetometer`); its parameters are in the frame of
-the accelerometers, whatever that of the others is. In the words of its users, the bias is the hard iron (the constant
-field that turns with the device), and scale-factor errors and axis angles together are the soft iron (fields induced in
-the device, and the errors of the channels, which cannot be told from them).
+The method `joint` estimates them (`tumble.inference.magnetometer`), always in the frame of the accelerometers. The bias
+is what users call hard iron (the constant field that turns with the device); scale-factor errors and axis angles
+together are the soft iron (fields induced in the device, from which errors of the channels cannot be separated).
 """
 
 from __future__ import annotations
@@ -26,37 +25,36 @@ from tumble.result.uncertainty_budget import contributions_of
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array
 
-NAMES = Block(kind="mag", axes=np.eye(3)).names
-"""The parameters of a magnetometer."""
-MOST_NAMED = 6
-"""Stretches of nodes that are named of those left out."""
+PARAMETER_NAMES = Block(kind="mag", axes=np.eye(3)).names
+MOST_NAMED = 6  # stretches of nodes left out that are listed
 
 
 def with_magnetometer(
     calibration: Calibration, estimate: Estimate, spec: Channels, observations: Observations
 ) -> Calibration:
-    """A calibration with the parameters of the session's magnetometer; where that cannot be calibrated, without them,
-    and a note says why."""
+    """Return a calibration with the parameters of the session's magnetometer, or a note why it has none."""
     magnetometer, covariance = estimate.magnetometer, calibration.covariance
     if not isinstance(magnetometer, MagnetometerEstimate) or magnetometer.refused or covariance is None:
         why = magnetometer if isinstance(magnetometer, str) else magnetometer.refused if magnetometer else ""
         why = why or "it is calibrated with the other sensors by the method joint: take that"
         note = f"magnetometer: {why}, or leave [log.magnetometer] out; the rest of the session is calibrated without it"
-        missing = replace(calibration.outcome, unobservable=calibration.outcome.unobservable + NAMES)
+        missing = replace(calibration.outcome, unobservable=calibration.outcome.unobservable + PARAMETER_NAMES)
         provenance = replace(calibration.provenance, notes=(*calibration.provenance.notes, note))
         return replace(calibration, outcome=missing, provenance=provenance)
-    whole = _with_covariance(calibration, magnetometer, estimate.names, covariance)
-    own, unit = whole[len(covariance) :, len(covariance) :], spec.unit_name
-    numbers = zip(magnetometer.names, magnetometer.values.tolist(), np.sqrt(own.diagonal()).tolist(), strict=True)
+    joint_covariance = _with_covariance(calibration, magnetometer, estimate.names, covariance)
+    mag_covariance, unit = joint_covariance[len(covariance) :, len(covariance) :], spec.unit_name
+    numbers = zip(
+        magnetometer.names, magnetometer.values.tolist(), np.sqrt(mag_covariance.diagonal()).tolist(), strict=True
+    )
     units = (unit,) * 3 + ("1",) * 3 + ("rad",) * 6
-    by_fit = UncertaintyBudget(sources=(source("mag.fit"),), covariances=own[None])
+    by_fit = UncertaintyBudget(sources=(source("mag.fit"),), covariances=mag_covariance[None])
     notes = calibration.provenance.notes + tuple(_notes(magnetometer, observations, spec))
     evidence = calibration.evidence
     return replace(
         calibration,
         parameters=calibration.parameters
         + tuple(Parameter(name=n, value=x, u=u, unit=w) for (n, x, u), w in zip(numbers, units, strict=True)),
-        covariance=whole,
+        covariance=joint_covariance,
         mag=magnetometer.model,
         evidence=replace(
             evidence,
@@ -70,8 +68,9 @@ def with_magnetometer(
 def _with_covariance(
     calibration: Calibration, magnetometer: MagnetometerEstimate, names: tuple[str, ...], covariance: Array
 ) -> Array:
-    """The covariance of the parameters of a calibration and those of its magnetometer, which depend on the others by
-    their derivatives; in another frame than that of the accelerometers as if by none."""
+    """Return the covariance of the parameters of a calibration and its magnetometer.
+
+    These depend on the others by their derivatives, which are neglected in another frame than `accelerometer`."""
     G = np.zeros((len(magnetometer.values), len(covariance)))
     if calibration.frame == "accelerometer":
         columns = dict(zip(names, magnetometer.by_parameters.T, strict=True))
@@ -82,7 +81,7 @@ def _with_covariance(
 
 
 def _notes(magnetometer: MagnetometerEstimate, observations: Observations, spec: Channels) -> Iterator[str]:
-    """The result in the words of its users, readings that were left out, and what is not known."""
+    """Return notes on hard and soft iron, an unknown field, and readings that were left out."""
     model, unit, rests = magnetometer.model, spec.unit_name, observations.rests
     hard = ", ".join(f"{b:.4g}" for b in model.bias)
     soft = np.linalg.svd(model.matrix, compute_uv=False)
@@ -106,24 +105,20 @@ def _notes(magnetometer: MagnetometerEstimate, observations: Observations, spec:
         list(run) for _, run in groupby(enumerate(out[out >= len(rests)].tolist()), lambda pair: pair[1] - pair[0])
     ]
     for run in nodes[:MOST_NAMED]:
-        some = [i for _, i in run]
+        stretch = [i for _, i in run]
+        start, stop = magnetometer.time[[stretch[0], stretch[-1]]]
         yield (
-            f"magnetometer: its readings from {magnetometer.time[some[0]]:.1f} to {magnetometer.time[some[-1]]:.1f} s "
-            f"were left out: up to {magnetometer.sigmas[some].max():.1f} sigma"
+            f"magnetometer: its readings from {start:.1f} to {stop:.1f} s were left out: up to "
+            f"{magnetometer.sigmas[stretch].max():.1f} sigma"
         )
     if len(nodes) > MOST_NAMED:
         yield f"magnetometer: {len(nodes) - MOST_NAMED} more such stretches were left out"
-    yield from _exchanged(magnetometer, observations, spec)
-
-
-def _exchanged(magnetometer: MagnetometerEstimate, observations: Observations, spec: Channels) -> Iterator[str]:
-    """That the columns are not in the order and of the signs of the axes of the accelerometers, if they are not: then
-    the one that is, or, where the latitude does not tell, both."""
+    # columns whose order or signs are not those of the accelerometers; the latitude decides the sign of all
     axes, latitude = magnetometer.magnetometer.block.axes, observations.site.latitude
     if np.array_equal(axes, np.eye(3)):
         return
-    known = latitude is not None and abs(latitude) > NEAR_EQUATOR
-    possible = [axes] if known else sorted((axes, -axes), key=lambda P: int((P < 0.0).sum()))
+    is_known = latitude is not None and abs(latitude) > NEAR_EQUATOR
+    possible = [axes] if is_known else sorted((axes, -axes), key=lambda P: int((P < 0.0).sum()))
     orders = [  # such as "(my, mx, −mz)"
         ", ".join(("−" if row.sum() < 0.0 else "") + spec.columns[int(np.argmax(np.abs(row)))] for row in P.T)
         for P in possible

@@ -1,9 +1,8 @@
-"""From a session to its observations, and what is wrong on the way: the one chain that everything goes through.
+"""The one chain from a session to its observations, and the faults found on the way.
 
     session → log → blocks → rests and turns → observations → (programme) → observations of its positions
 
-A log is opened, read and reduced here and nowhere else. `inspect_session` takes every rest that was found;
-`observations_for_calibration` takes those of the session's programme.
+`inspect_session` takes every rest that was found, `observations_for_calibration` those of the session's programme.
 """
 
 from __future__ import annotations
@@ -48,19 +47,20 @@ from tumble.rotation import onto_body
 from tumble.units import DEGREE, IntArray
 
 Progress = Callable[[Log], Iterable[Chunk]]
-"""Gives the chunks of a log, to show how far reading is or to keep samples on the way."""
+"""Function that yields the chunks of a log, for instance to show how far reading is."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Observed(Judged):
-    """What a session's log shows: the `digest` of its content, perhaps still on its way, the gaps that were bridged,
-    the rests and turns that were found and rejected, and the observations of all of them (None where nothing rests);
-    `faults`, in sentences, are what is wrong with the recording, `gyro_faults` what spoils the gyros alone, and
-    `gyro_bias_faults` what spoils nothing but their biases. When it was `recorded`, ISO 8601, is by the log's own
-    times; `notes` are what is remarkable in these.
+    """Rests, turns and faults of a session's log.
 
-    `trial` are the observations, or, where no rest was found with the gyros, those of the rests that the accelerometers
-    alone show: in a wrong unit every turn is too slow to be one."""
+    `digest` is the SHA-256 of its content, perhaps still being computed. `gaps` were bridged or left out;
+    `segmentation` has rests and turns, found and rejected, `observations` those found, None if nothing rests. `faults`
+    are sentences on the recording, `gyro_faults` on the gyros, `gyro_bias_faults` on their biases. `recorded` is the
+    date, ISO 8601, by the log's own times, `notes` are remarks on these.
+
+    `trial` are the observations or, if no rest was found with the gyros, those of the rests that the accelerometers
+    alone show: with gyros in a wrong unit no turn is fast enough to be one."""
 
     json_fields: ClassVar = ("verdict", "reasons", "gyro", "rate", "segmentation", "observations")
 
@@ -79,22 +79,22 @@ class Observed(Judged):
 
     @property
     def sha256(self) -> str:
-        """The SHA-256 of the log's content."""
+        """SHA-256 of the log's content."""
         return self.digest.result()
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """What is wrong with the recording."""
+        """Faults of the recording."""
         return self.faults
 
     @property
     def gyro(self) -> Judgement:
-        """Whether the gyros can be used."""
+        """Judgement on the gyros."""
         return Judgement(reasons=(*self.faults, *self.gyro_faults, *self.gyro_bias_faults))
 
     @property
     def circumstances(self) -> Circumstances:
-        """Those of the session, with the date of the log where it states none."""
+        """Circumstances of the session, with the date of the log if it states none."""
         stated = self.session.circumstances
         return stated if stated.date is not None else replace(stated, date=self.recorded)
 
@@ -104,10 +104,8 @@ class Observed(Judged):
         return self.reduction.rate
 
 
-MANY_LOST = 2
-"""Times the rests: so many of the accelerometers that are none by the gyros say that these are at fault."""
-LARGEST_SQUARED = 1e100
-"""SI: of larger numbers sums of products are none."""
+REJECTED_RESTS_RATIO = 2  # of rests rejected by the gyros to rests found, above which the gyros are at fault
+LARGEST_SQUARED = 1e100  # SI: sums of products of larger numbers overflow
 
 
 @checked
@@ -143,7 +141,7 @@ def inspect_session(
 
 
 def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tuning = USUAL) -> Observed:
-    """The same; the content of a log that was read is hashed `beside` what follows, which needs one core alone."""
+    """Inspect a session, with its log hashed by the executor `beside` meanwhile."""
     log = open_log(session)
     reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log), tuning)
     digest = beside.submit(log.sha256)
@@ -155,13 +153,13 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         reduction = without_blemishes(reduction)
         segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
-        lost = ""
+        rejected = ""
         if session.log.gyro is not None and 0 < len(segmentation.rests) < reduction.tuning.level_attitudes:
             by_accel = find_rests(reduction, session.accel_block, None)
             more = len(by_accel.rests) - len(segmentation.rests)
-            if more > max(MANY_LOST * len(segmentation.rests), reduction.tuning.level_attitudes):
+            if more > max(REJECTED_RESTS_RATIO * len(segmentation.rests), reduction.tuning.level_attitudes):
                 segmentation = by_accel
-                lost = (
+                rejected = (
                     f"the gyros read another rate in {more} of {len(by_accel.rests)} rests of the accelerometers, and "
                     "why cannot be told: look at the rests with `tumble inspect`"
                 )
@@ -174,15 +172,15 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         trial = observations
         if trial is None and not faults:
             trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
-    of_gyros = list[str]()
+    gyro_faults = list[str]()
     if trial is not None and not faults:
         faults = vertical_faults(trial, session, reduction.rate)
-        if faults or lost:
-            of_gyros = high_passed(reduction, segmentation.rests) or ([lost] if lost and not faults else [])
-        if of_gyros:
+        if faults or rejected:
+            gyro_faults = high_passed(reduction, segmentation.rests) or ([rejected] if rejected and not faults else [])
+        if gyro_faults:
             faults = vertical_faults(trial.of_accelerometers(), session, reduction.rate)
-    if session.log.gyro is not None and not faults and not of_gyros:
-        of_gyros = dead_zones(reduction, segmentation.rests, session.log.gyro)
+    if session.log.gyro is not None and not faults and not gyro_faults:
+        gyro_faults = dead_zones(reduction, segmentation.rests, session.log.gyro)
     return Observed(
         session=session,
         digest=digest,
@@ -192,7 +190,7 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         observations=observations,
         trial=trial,
         faults=tuple(faults),
-        gyro_faults=tuple(of_gyros),
+        gyro_faults=tuple(gyro_faults),
         gyro_bias_faults=() if faults else segmentation.jumped(),
         recorded=log.recorded,
         notes=log.notes,
@@ -200,7 +198,7 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
 
 
 def _observed(session: Session, reduction: Reduction, rests: tuple[Stretch, ...]) -> Observations | None:
-    """The observations of all of these rests; None where there is none, or numbers that have no squares."""
+    """Return the observations of rests; None without rests, or for numbers beyond LARGEST_SQUARED."""
     channels = (*reduction.accel_channels, *reduction.gyro_channels)
     if not rests or max(max(-each.minimum, each.maximum) for each in channels) > LARGEST_SQUARED:
         return None
@@ -208,12 +206,10 @@ def _observed(session: Session, reduction: Reduction, rests: tuple[Stretch, ...]
 
 
 def observations_for_calibration(observed: Observed, *, joint: bool = False) -> Observations | Outcome:
-    """What a method sees of a session: the positions of its programme, or all rests where it has none; an Outcome where
-    there is nothing to calibrate with.
+    """Return the positions of a session's programme, or all its rests without one, or an Outcome that says why none.
 
-    The method `joint` follows a device with few rests through its motion, and gyros whose biases jump, and takes the
-    magnetometer in. For others gyros that jump are left out, as spoiled ones always are. Raises ProgrammeError for a
-    recording that does not go through the programme.
+    The method `joint` also takes the motion of a device with few rests, gyros whose biases jump, and the magnetometer.
+    Faulty gyros are left out. Raises ProgrammeError for a recording that does not go through the programme.
     """
     if joint and (moving := _in_motion(observed)) is not None:
         return moving
@@ -223,30 +219,27 @@ def observations_for_calibration(observed: Observed, *, joint: bool = False) -> 
     reduction, match, torn = matched
     if joint and observed.gyro_bias_faults:
         reduction = without_jump(reduction, match, observed.session.gyro_block)
-    every = _observed_again(observed, reduction, match, torn)
-    spoiled = observed.gyro_faults or (observed.gyro_bias_faults and not joint)
-    every = every.of_accelerometers() if spoiled else every
-    return every if joint else every.without_magnetometer()
+    observations = _observed_again(observed, reduction, match, torn)
+    if observed.gyro_faults or (observed.gyro_bias_faults and not joint):
+        observations = observations.of_accelerometers()
+    return observations if joint else observations.without_magnetometer()
 
 
-FEWEST_RESTS = 9
-"""Fewer rests determine no accelerometers: then the motion between them counts too."""
-SHORTEST_MOTION = 20.0
-"""s: less motion determines nothing."""
-TREMOR = 0.07 * DEGREE
-"""rad/s, root mean square about an axis, of tenths of a second: a hand that holds a device still trembles by more."""
+FEWEST_RESTS = 9  # below this number rests alone do not determine accelerometers
+SHORTEST_MOTION = 20.0  # s: a shorter motion determines nothing
+TREMOR = 0.07 * DEGREE  # rad/s rms about an axis over tenths of a second; a hand that holds a device trembles by more
 
 
 def _in_motion(observed: Observed) -> Observations | None:
-    """The observations of a recording with few rests or none, from node to node; None of others.
+    """Return the observations, from node to node, of a recording with few rests or none; None for others.
 
-    A device that was shaken where it lay is one with rests: shaking is no displacement that a few harmonics or a smooth
-    process follow from node to node, least of all one that is aliased. Nor does one rest that pauses in the hand: it
-    has velocities, and stays where it was, which nodes tell better than a rest."""
+    A device that was shaken where it lay has rests: neither a few harmonics nor a smooth process follow shaking from
+    node to node, least of all if it is aliased. Pauses in the hand are no rests: the device has a velocity, and nodes
+    describe better that it stays where it is."""
     session, segmentation = observed.session, observed.segmentation
-    spoiled = observed.faults or observed.gyro_faults or observed.gyro_bias_faults
-    rests = len(segmentation.rests) + len(segmentation.shaken)
-    if session.programme is not None or session.log.gyro is None or spoiled or rests >= FEWEST_RESTS:
+    faulty = observed.faults or observed.gyro_faults or observed.gyro_bias_faults
+    n_rests = len(segmentation.rests) + len(segmentation.shaken)
+    if session.programme is not None or session.log.gyro is None or faulty or n_rests >= FEWEST_RESTS:
         return None
     reduction, match = without_numbered(observed.reduction, observed.segmentation, session.excluded)
     spans, notes, links = match.rests, tuple[str, ...](), links_of(reduction, match.rests)
@@ -259,14 +252,13 @@ def _in_motion(observed: Observed) -> Observations | None:
     if links.bad_samples:
         several = "s" if links.bad_samples > 1 else ""
         notes += (f"{links.bad_samples} bad sample{several} in motion, far off the rest: half a second each left out",)
-    every = observe(reduction, spans, session.accel_block, session.gyro_block, session.site, links=links)
+    observations = observe(reduction, spans, session.accel_block, session.gyro_block, session.site, links=links)
     thermometers = thermometers_of(reduction) if any(f.temperature is not None for f in reduction.files) else None
-    return replace(every, thermometers=thermometers, notes=(*observed.notes, *notes, *every.notes))
+    return replace(observations, thermometers=thermometers, notes=(*observed.notes, *notes, *observations.notes))
 
 
 def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observations, IntArray] | Outcome:
-    """The same with rests that warm in parts, each in so many at `least`, and the number of the rest that each part is
-    of."""
+    """Return the observations with rests that warm cut into `least` or more parts, and the rest number of each part."""
     matched = _matched(observed)
     if isinstance(matched, Outcome):
         return matched
@@ -278,20 +270,19 @@ def observations_in_parts(observed: Observed, least: int = 1) -> tuple[Observati
 def _observed_again(
     observed: Observed, reduction: Reduction, match: Segmentation, torn: tuple[str, ...]
 ) -> Observations:
-    """The observations of these rests and turns, made anew where they are others, with mended samples and notes
-    of the turns that are left out."""
-    session, again = observed.session, observed.observations
-    if again is None or match.rests != observed.segmentation.rests or reduction is not observed.reduction:
-        arrays = None if again is None or observed.gyro_bias_faults else again.arrays
-        again = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, arrays)
-    notes = (*observed.notes, *again.notes, *torn)
-    again = replace(again, programme=match.programme, position=match.position, notes=notes, turns_left_out=torn)
-    return with_mended_samples(again).with_blow_variances()
+    """Return the observations of matched rests, with mended samples and notes on the turns that are left out."""
+    session, out = observed.session, observed.observations
+    if out is None or match.rests != observed.segmentation.rests or reduction is not observed.reduction:
+        arrays = None if out is None or observed.gyro_bias_faults else out.arrays
+        out = observe(reduction, match.rests, session.accel_block, session.gyro_block, session.site, arrays)
+    notes = (*observed.notes, *out.notes, *torn)
+    out = replace(out, programme=match.programme, position=match.position, notes=notes, turns_left_out=torn)
+    return with_mended_samples(out).with_blow_variances()
 
 
 def _matched(observed: Observed) -> tuple[Reduction, Segmentation, tuple[str, ...]] | Outcome:
-    """The rests of a session's programme, or all, the reduction without the turns that are left out, and notes of those
-    that were not recorded as a whole."""
+    """Return the reduction without excluded turns, the rests of a session's programme, or all, and notes on turns that
+    were not recorded as a whole."""
     session = observed.session
     if observed.faults:
         return Outcome(reasons=observed.faults)

@@ -1,4 +1,4 @@
-"""The samples of a recording at rest, for the Allan deviation: the longest rest of a session, or all of a log."""
+"""Noise of the sensors from samples at rest: the longest rest of a session, or a whole log."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ from tumble.run.observed import Progress, inspect_session
 from tumble.units import DEGREE, G_STANDARD, Array
 
 _MARGIN = 1e-9  # s, of the ends of a rest
-BLOCKS, TURNED = 100, 10.0 * DEGREE
-"""Of how many parts of a record the vertical is compared, and by how much, rad, it may differ at rest."""
+PARTS = 100  # of a record, whose verticals are compared
+LARGEST_TILT = 10.0 * DEGREE  # rad, between the verticals of a record at rest
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class QuietRecord:
-    """Samples at rest of a session, SI: accelerometers (m, n), gyros (m, n) or (m, 0), `rate` in Hz, and where they are
-    from in words."""
+    """Samples at rest, SI: accelerometers (m, n), gyros (m, n) or (m, 0), sample `rate`, Hz, and `source` in words."""
 
     session: Session
     accel: Array
@@ -40,8 +39,10 @@ class QuietRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class RecordedNoise(Brief):
-    """Allan deviations and noise coefficients of the accelerometers and of the gyros, the sample rate, Hz, where they
-    are from in words, and what is not sure about the log, and what hangs on it."""
+    """Allan deviations and noise coefficients of accelerometers and gyros.
+
+    `rate` is the sample rate, Hz, `source` says in words where the samples are from, and `doubt` what is not certain
+    about the log."""
 
     json_fields: ClassVar = ("source", "rate", "panels", "doubt")
 
@@ -58,15 +59,15 @@ def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None =
     Parameters
     ----------
     *recordings
-        Sessions, or the paths of their folders, of which the longest rest is taken; or, with `layout`, logs of a device
-        at rest. Several recordings of one device are taken together.
+        Sessions, or the paths of their folders, whose longest rests are taken; or, with `layout`, logs of a device at
+        rest. Several recordings of one device are evaluated together.
     layout
         Table [log] of session.toml, less the file.
 
     Raises
     ------
     InputError
-        If nothing rests, for a recording that cannot be read, and for several with different sensors.
+        If nothing rests, a recording cannot be read, or several have different sensors.
 
     Examples
     --------
@@ -88,7 +89,7 @@ def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None =
     if not records:
         raise InputError("noise: expected a recording, found none")
     several = f"{len(records)} records: " if len(records) > 1 else ""
-    doubts = dict.fromkeys([records[0].session.log.doubt, *map(moved, records)])
+    doubts = dict.fromkeys([records[0].session.log.doubt, *map(_turned, records)])
     return RecordedNoise(
         panels=noise_panels(records),
         rate=records[0].rate,
@@ -97,16 +98,16 @@ def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None =
     )
 
 
-def moved(record: QuietRecord) -> str:
-    """That the device was turned during a record, which is then no record of noise; nothing where it lay still."""
+def _turned(record: QuietRecord) -> str:
+    """Say that the device was turned during a record; empty if it lay still."""
     if record.accel.shape[1] != 3:
         return ""
-    means = np.array([part.mean(axis=0) for part in np.array_split(record.accel, min(BLOCKS, len(record.accel)))])
+    means = np.array([part.mean(axis=0) for part in np.array_split(record.accel, min(PARTS, len(record.accel)))])
     lengths = np.linalg.norm(means, axis=1)
     if not lengths.min() > 0.5 * G_STANDARD:
         return ""
     angle = float(np.arccos(np.clip((means @ means[0] / (lengths * lengths[0])).min(), -1.0, 1.0)))
-    if angle < TURNED:
+    if angle < LARGEST_TILT:
         return ""
     return (
         f"the device was turned by up to {angle / DEGREE:.0f}° in {record.source}: these numbers are not its noise; "
@@ -116,7 +117,7 @@ def moved(record: QuietRecord) -> str:
 
 
 def noise_panels(records: Sequence[QuietRecord]) -> tuple[Panel, ...]:
-    """Allan deviation and noise processes of the accelerometers and of the gyros, by all records together."""
+    """Return Allan deviation and noise coefficients of accelerometers and gyros, by all records together."""
     panels, log = [], records[0].session.log
     for title, unit, kind, channels in (
         ("accelerometers", "m/s^2", "accel", log.accel),
@@ -130,14 +131,14 @@ def noise_panels(records: Sequence[QuietRecord]) -> tuple[Panel, ...]:
 
 
 def is_session(path: Path) -> bool:
-    """Whether a path is that of a session, and not of a log."""
+    """Return True for the path of a session, False for that of a log."""
     if not path.exists():
         raise InputError(f"{path}: expected a session folder or a log, found no such file")
     return (path / SESSION_FILE).exists() or path.suffix == ".toml"
 
 
 def longest_rest(session: Session, *, progress: Progress = Log.chunks) -> QuietRecord:
-    """The longest rest of a session. Raises InputError where nothing rests."""
+    """Return the longest rest of a session. Raises InputError if nothing rests."""
     observed = inspect_session(session, progress=progress)
     if not observed.segmentation.rests:
         raise InputError(f"{session.name}: expected a rest to take the noise from, found none; see `tumble inspect`")
@@ -147,13 +148,14 @@ def longest_rest(session: Session, *, progress: Progress = Log.chunks) -> QuietR
         for chunk in open_log(session).chunks()
         if chunk.file == rest.file
     ]
-    words = f"the longest rest, {rest.start:z.1f}–{rest.stop:z.1f} s"
-    return _record(session, np.concatenate(samples), observed.rate, words)
+    source = f"the longest rest, {rest.start:z.1f}–{rest.stop:z.1f} s"
+    return _record(session, np.concatenate(samples), observed.rate, source)
 
 
 def whole_log(file: Path, layout: Mapping[str, Any]) -> QuietRecord:
-    """All of a log file at rest, with `layout` as the table [log] of session.toml has it, less the file; the
-    accelerometers may be missing. Raises InputError like a session would."""
+    """Return all samples of a log file at rest; `layout` is the table [log] of session.toml without the file.
+
+    The accelerometers may be missing. Raises InputError if the log does not fit the layout."""
     described = {"format": 1, "device": {"serial": file.name}, "log": {"file": str(file.resolve()), **layout}}
     gyros_alone = "accel" not in layout and "gyro" in layout
     try:
@@ -164,13 +166,12 @@ def whole_log(file: Path, layout: Mapping[str, Any]) -> QuietRecord:
     samples, source = np.concatenate(list(map(_samples, log.chunks()))), f"all of {file.name}"
     if gyros_alone:
         session = replace(session, log=replace(session.log, gyro=session.log.accel))
-        none = np.empty((len(samples), 0))
-        return QuietRecord(session=session, accel=none, gyro=samples, rate=log.rate, source=source)
+        empty = np.empty((len(samples), 0))
+        return QuietRecord(session=session, accel=empty, gyro=samples, rate=log.rate, source=source)
     return _record(session, samples, log.rate, source)
 
 
 def _samples(chunk: Chunk) -> Array:
-    """Accelerometers and gyros, sample by sample."""
     return chunk.accel if chunk.gyro is None else np.hstack([chunk.accel, chunk.gyro])
 
 

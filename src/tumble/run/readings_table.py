@@ -1,21 +1,16 @@
-"""Tables of readings: laboratories write down averaged voltages, one row per position.
+"""Tables of readings, such as averaged voltages with one row per position.
 
 READINGS.csv has a header with the names of three columns, one per accelerometer, and a row of three numbers per
-position; of a wider one, such as a log, the three are taken that are named as accelerometers are. The readings become
-SI by the nominal scale, whose sign is the polarity of the channel.
+position; from a wider table, such as a log, the three columns named as accelerometers are taken. The nominal scale
+converts readings to SI; its sign is the polarity of the channel.
 
-The ellipsoid does not show polarity: y and −y of a channel lie equally well on it. It comes from the nominal scale, or
-from positions of which it is roughly known where up was. Where an odd number of channels is negative, the readings as
-written are the mirror image of a right-handed triad, and the fit needs a reflection, which is said.
+The ellipsoid does not show polarity: y and −y of a channel lie equally well on it. Polarity comes from the nominal
+scale, or from positions in which the direction of up is roughly known.
 
 A position is a block of N rows, N = 1 unless stated. Its reading is the mean; the covariance of a mean comes from the
-scatter within all blocks, which is taken to be the same in each. Blocks that are equal to the last digit are copies of
-one reading, not several, and count once.
-
-No reading is known better than the last digit it is written with: its standard uncertainty is at least the step of that
-digit over √12, and a mean of several has the same.
-
-Source: JCGM 100:2008 (GUM), F.2.2.1.
+scatter within all blocks, taken to be the same in each. Blocks that are equal to the last digit are copies of one
+reading and count once. The standard uncertainty of a reading, and of a mean of several, is at least the step of its
+last digit over √12 (JCGM 100:2008, F.2.2.1).
 """
 
 from __future__ import annotations
@@ -42,14 +37,10 @@ from tumble.sensors.model import Block
 from tumble.units import ACCEL_UNITS, G_STANDARD, Array, IntArray
 from tumble.usual_setup import MOVE, ON_TABLE
 
-TELLING = 0.3
-"""A channel's polarity is told by a position in which up has at least this part along it, in the fit and as stated."""
-EARTH_GRAVITY = (9.7, 9.9)
-"""m/s², between which gravity is on Earth."""
-LARGEST_GRAVITY_U = 0.1
-"""m/s², of the standard uncertainty of gravity; it is less all over the Earth."""
-LARGEST = 1e30
-"""No reading is as large: its powers would leave the range of numbers."""
+POLARITY_COMPONENT = 0.3  # of up along a channel, from which on a position shows its polarity
+EARTH_GRAVITY = (9.7, 9.9)  # m/s², range on Earth
+LARGEST_GRAVITY_U = 0.1  # m/s², more than gravity varies on Earth
+LARGEST = 1e30  # of a reading, whose powers would leave the range of floats
 COPIES_SHOWN = 3
 RAW = ("V", "count")
 UNITS = {name: ACCEL_UNITS[name].factor for name in ("g", "m/s^2")}
@@ -58,12 +49,10 @@ UNITS = {name: ACCEL_UNITS[name].factor for name in ("g", "m/s^2")}
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class ReadingsTable:
-    """A table of readings (N, 3) as written, with the lines of the file that they stand in, and of each column the step
-    of the last digit that is written in it.
+    """A table of readings (N, 3) as written, with their `lines` in the file and the `steps` (3,) of the last digits.
 
-    Of positions of several `rows`, values are the means and lines those of the first rows; the `covariance` (3, 3) of a
-    mean is from the scatter within positions, with its `degrees` of freedom, None where each is one row. `left_out`
-    says in words what was left out."""
+    If positions have several `rows`, values are their means and lines those of the first rows; `covariance` (3, 3) is
+    that of a mean by the scatter within positions, with its `degrees` of freedom. `left_out` are notes on copies."""
 
     path: Path
     columns: tuple[str, ...]
@@ -78,18 +67,18 @@ class ReadingsTable:
 
     @property
     def resolution_u(self) -> Array:
-        """Standard uncertainty (3,) of a reading from the last digit it is written with, in the unit of the table."""
+        """Standard uncertainty (3,) of a reading by its last digit, in the unit of the table."""
         return np.asarray(self.steps / np.sqrt(12.0))
 
     @property
     def row_u(self) -> Array:
-        """Standard uncertainty (3,) of a single row, from its last digit and the scatter within positions."""
+        """Standard uncertainty (3,) of a single row, by its last digit and the scatter within positions."""
         within = 0.0 if self.covariance is None else self.rows * np.diag(self.covariance)
         return np.sqrt(self.resolution_u**2 + within)
 
 
 def table_of(readings: Array) -> ReadingsTable:
-    """The table of readings (N, 3), each known to its last digit. Raises InputError for another shape."""
+    """Return the table of readings (N, 3), each known to its last digit. Raises InputError for another shape."""
     if readings.ndim != 2 or readings.shape[1] != 3:
         raise InputError(f"--readings: expected an array (N, 3), a row per position, found the shape {readings.shape}")
     rows = [",".join(map(repr, row)) for row in readings.tolist()]
@@ -97,9 +86,10 @@ def table_of(readings: Array) -> ReadingsTable:
 
 
 def read_table(path: Path) -> ReadingsTable:
-    """The readings of a CSV file; of a wider one the columns that are named as accelerometers are. Raises InputError,
-    one line that names the file, the line and the column, for anything but a header of names and rows of finite
-    numbers in three columns."""
+    """Read a table of readings from a CSV file.
+
+    Raises InputError, which names the file, the line and the column, for anything but a header of names and rows of
+    finite numbers in three columns."""
     try:
         check_regular(path)
         content = path.read_bytes()
@@ -114,7 +104,6 @@ def read_table(path: Path) -> ReadingsTable:
 
 
 def _parsed(path: Path, text: str) -> ReadingsTable:
-    """The table of a text."""
     reader = csv.reader(text.splitlines(), strict=True)
     try:
         rows = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
@@ -127,7 +116,7 @@ def _parsed(path: Path, text: str) -> ReadingsTable:
         places = [columns.index(name) for name in named.columns]
         rows = [(line, [row[i] for i in places] if len(row) == width else row) for line, row in rows]
         columns = tuple(named.columns)
-    if fault := _fault_of_header(columns):
+    if fault := _header_fault(columns):
         raise InputError(f"{path}: line {rows[0][0]}: expected {fault}")
     if len(rows) == 1:
         raise InputError(f"{path}: expected a row per position below the header, found none")
@@ -140,20 +129,20 @@ def _parsed(path: Path, text: str) -> ReadingsTable:
                 place = f"{path}: line {line}, column {column!r}"
                 raise InputError(f"{place}: expected a number, found {value}; correct the row")
     numbers = [[cell.strip().lower().partition("e") for cell in row] for _, row in rows[1:]]
-    # the power of ten of the last digit of each: −3 of 1.250, 2 of 1.25e4
-    last = [[int(power or 0) - len(digits.partition(".")[2]) for digits, _, power in row] for row in numbers]
+    # power of ten of the last digit of each: −3 of 1.250, 2 of 1.25e4
+    last_digits = [[int(power or 0) - len(digits.partition(".")[2]) for digits, _, power in row] for row in numbers]
     return ReadingsTable(
         path=path,
         columns=columns,
         values=np.array([[float(cell) for cell in row] for _, row in rows[1:]]),
         lines=tuple(line for line, _ in rows[1:]),
         sha256=hashlib.sha256(text.encode()).hexdigest(),
-        steps=10.0 ** np.minimum(0, np.min(last, axis=0)),  # of whole numbers 1
+        steps=10.0 ** np.minimum(0, np.min(last_digits, axis=0)),  # 1 of whole numbers
     )
 
 
-def _fault_of_header(names: tuple[str, ...]) -> str:
-    """What was expected of the names of three columns, and what was found; empty where they are such."""
+def _header_fault(names: tuple[str, ...]) -> str:
+    """Return what was expected of the header and what was found; empty if it is right."""
     if len(names) == 1 and any(mark in names[0] for mark in ";\t"):
         return f"commas between the columns, found {names[0][:40]!r}; save as CSV with commas"
     if len(names) != 3:
@@ -177,7 +166,9 @@ def _number(cell: str) -> float:
 
 
 def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> ReadingsTable:
-    """The table with a row a position, of so many rows each. Raises InputError where they do not go into the table."""
+    """Return the table with one row per position, the mean of `rows_per_position` rows.
+
+    Raises InputError if the number of rows is no multiple of it."""
     N, rows = len(table.values), rows_per_position
     if rows < 1 or N % rows:
         raise InputError(
@@ -185,23 +176,23 @@ def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> ReadingsTa
         )
     blocks, lines = table.values.reshape(-1, rows, 3), table.lines[::rows]
     _, first, inverse = np.unique(blocks.reshape(len(blocks), -1), axis=0, return_index=True, return_inverse=True)
-    once, equal = np.sort(first), first[inverse.ravel()]
+    distinct, original = np.sort(first), first[inverse.ravel()]
     left_out: tuple[str, ...] = ()
-    if len(again := np.flatnonzero(equal != np.arange(len(blocks)))):
-        named = [f"line {lines[i]} as line {lines[equal[i]]}" for i in again[:COPIES_SHOWN]]
-        named += [f"{len(again) - COPIES_SHOWN} more"] if len(again) > COPIES_SHOWN else []
+    if len(copies := np.flatnonzero(original != np.arange(len(blocks)))):
+        named = [f"line {lines[i]} as line {lines[original[i]]}" for i in copies[:COPIES_SHOWN]]
+        named += [f"{len(copies) - COPIES_SHOWN} more"] if len(copies) > COPIES_SHOWN else []
         left_out = (
-            f"{'rows' if rows == 1 else f'blocks of {rows} rows'} that repeat others to the last digit: {len(again)} "
+            f"{'rows' if rows == 1 else f'blocks of {rows} rows'} that repeat others to the last digit: {len(copies)} "
             f"({', '.join(named)}); a copy is no further reading, and each counts once",
         )
-    means, covariance, degrees = blocks[once].mean(axis=1), None, len(once) * (rows - 1)
-    if rows > 1:  # of the mean of a block, from the scatter within all blocks
-        away = (blocks[once] - means[:, None]).reshape(-1, 3)
-        covariance = np.asarray(away.T @ away / degrees / rows)
+    means, covariance, degrees = blocks[distinct].mean(axis=1), None, len(distinct) * (rows - 1)
+    if rows > 1:
+        residuals = (blocks[distinct] - means[:, None]).reshape(-1, 3)
+        covariance = np.asarray(residuals.T @ residuals / degrees / rows)
     return replace(
         table,
         values=means,
-        lines=tuple(lines[i] for i in once),
+        lines=tuple(lines[i] for i in distinct),
         covariance=covariance,
         rows=rows,
         degrees=degrees,
@@ -209,25 +200,27 @@ def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> ReadingsTa
     )
 
 
-def rests_of(readings: Array, covariance: Array, block: Block, site: Site) -> Observations:
-    """Mean readings (N, 3), m/s², with the covariance (3, 3) of each, as rests in the order and at the pace of an
-    operator's sheet."""
+def table_rests(readings: Array, covariance: Array, block: Block, site: Site) -> Observations:
+    """Return mean readings (N, 3), m/s², with the covariance (3, 3) of each, as rests at the pace of an operator's
+    sheet."""
     N = len(readings)
-    none, start = np.zeros((N, 0)), np.asarray(np.arange(N) * (ON_TABLE.rest + MOVE))
-    rests = Rests.of_white_noise(start, start + ON_TABLE.rest, accel=readings, gyro=none, densities=(0.0, 0.0))
-    rests = replace(rests, accel_covariance=np.broadcast_to(covariance, (N, 3, 3)), accel_drift=none, accel_noise=none)
+    empty, start = np.zeros((N, 0)), np.asarray(np.arange(N) * (ON_TABLE.rest + MOVE))
+    rests = Rests.of_white_noise(start, start + ON_TABLE.rest, accel=readings, gyro=empty, densities=(0.0, 0.0))
+    covariances = np.broadcast_to(covariance, (N, 3, 3))
+    rests = replace(rests, accel_covariance=covariances, accel_drift=empty, accel_noise=empty)
     return Observations(accel_block=block, gyro_block=None, site=site, rests=rests)
 
 
-# -------------------- what the readings are worth --------------------
+# -------------------- unit, scale and gravity --------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Nominal:
-    """What readings are worth: their unit, that which a raw scale is `per` (the same where they are not raw), the
-    output per m/s² (3,) of the channels, signed by polarity, and gravity, m/s², with its standard uncertainty, None
-    where gravity at the place is the unit. Whether the sizes of the scale were `estimated` from the readings
-    themselves, and the columns whose polarity is `assumed`, since nothing states it."""
+    """Unit and nominal scale of the readings of a table, and gravity.
+
+    `per` is the unit that a raw scale is per, else the unit itself. `scale` (3,) is the output per m/s², signed by
+    polarity. `gravity_u` is None if gravity at the place is the unit. `estimated`: the scale was taken from the
+    readings. `assumed`: columns whose polarity nothing states."""
 
     unit: str
     per: str
@@ -239,11 +232,11 @@ class Nominal:
 
     @property
     def per_unit(self) -> Array:
-        """Output (3,) per `per`."""
+        """Output (3,) per unit `per`."""
         return self.scale * UNITS[self.per]
 
     def to_si(self, values: Array) -> Array:
-        """Readings (N, 3), m/s²."""
+        """Convert readings (N, 3) to m/s²."""
         return values / self.scale
 
 
@@ -257,8 +250,9 @@ def nominal_of(
     gravity_u: float | None,
     directions: Mapping[int, Array],
 ) -> Nominal:
-    """Nominal scale of the readings of a table, and gravity, by the arguments of `calibrate_readings`. Raises
-    InputError if these contradict each other or the table."""
+    """Return unit, scale and gravity by the arguments of `calibrate_readings`.
+
+    Raises InputError if these contradict each other or the table."""
     if unit not in (*RAW, *UNITS):
         raise InputError(f"--unit: expected one of {', '.join((*RAW, *UNITS))}, found {unit!r}")
     if unit not in RAW and (scale is not None or scale_per is not None):
@@ -274,10 +268,10 @@ def nominal_of(
         raise InputError(f"--gravity-u: expected a number from 0 to {LARGEST_GRAVITY_U:g} (m/s^2), found {gravity_u:g}")
     g = G_STANDARD if gravity is None else gravity
 
-    # the output per unit: 1, as stated, or from the readings to three digits
+    # output per unit: 1, as stated, or from the readings to three digits
     sizes, estimated = np.ones(3), unit in RAW and scale is None
     if estimated:
-        outputs = sizes_seen(table.values, g / UNITS[per])
+        outputs = fitted_outputs(table.values, g / UNITS[per])
         outputs = 0.5 * np.ptp(table.values, axis=0) / (g / UNITS[per]) if outputs is None else outputs
         sizes = np.array([float(f"{s:.3g}") if s > 0.0 else 1.0 for s in outputs])
     elif scale is not None:
@@ -300,27 +294,30 @@ def nominal_of(
     )
 
 
-def sizes_seen(values: Array, length: float) -> Array | None:
-    """The output (3,) of the channels per unit of a vector of this length, from the ellipsoid through the readings
-    (N, 3); None where they lie on none."""
+def fitted_outputs(values: Array, length: float) -> Array | None:
+    """Return the outputs (3,) of the channels per unit of a vector of this length, by the ellipsoid through readings
+    (N, 3); None if they lie on none."""
     from tumble.methods.quadric import fit_many
 
     fit = fit_many(values[None])
     return np.linalg.norm(fit.models(length).matrix[0], axis=1) if fit.found[0] else None
 
 
-def _polarity(table: ReadingsTable, sizes: Array, known: Mapping[int, Array], *, free: bool) -> tuple[Array, IntArray]:
-    """Signs (3,) that roughly known positions give the channels, and the number of the position that shows each, 0 for
-    none; where `free` is false the signs must not differ from those of the scale."""
-    seen = rough_directions(table.values / sizes)
+def _polarity(
+    table: ReadingsTable, sizes: Array, directions: Mapping[int, Array], *, free: bool
+) -> tuple[Array, IntArray]:
+    """Return the signs (3,) of the channels by roughly known directions of up, and the number of the position that
+    shows each, 0 for none. Unless `free`, they must be those of the scale."""
+    read = rough_directions(table.values / sizes)
     signs, shown_by = np.ones(3), np.zeros(3, dtype=int)
-    for position, direction in known.items():
-        if not 1 <= position <= len(seen):
-            raise InputError(f"--position: expected a position from 1 to {len(seen)} of the table, found {position}")
+    for position, direction in directions.items():
+        if not 1 <= position <= len(read):
+            raise InputError(f"--position: expected a position from 1 to {len(read)} of the table, found {position}")
         stated = direction / np.abs(direction).max()
         stated = stated / np.linalg.norm(stated)
-        for p in np.flatnonzero((np.abs(stated) > TELLING) & (np.abs(seen[position - 1]) > TELLING)):
-            sign, column = np.sign(stated[p] * seen[position - 1, p]), table.columns[p]
+        is_along = np.minimum(np.abs(stated), np.abs(read[position - 1])) > POLARITY_COMPONENT
+        for p in np.flatnonzero(is_along):
+            sign, column = np.sign(stated[p] * read[position - 1, p]), table.columns[p]
             if shown_by[p] and sign != signs[p]:
                 raise InputError(
                     f"--position: positions {shown_by[p]} and {position} contradict each other about the polarity of "

@@ -1,8 +1,8 @@
 """Several sessions of one device over temperature as one estimate.
 
-The parameters and how they change with temperature are common; attitudes are those of each rest, and biases are each
-session's own by what differs from launch to launch and drifts in a session, both with priors. A session in which
-nothing is turned says how biases change with its temperature and nothing else.
+Parameters and their temperature coefficients are common to all sessions. Each session has its own attitudes, and its
+own changes of the biases from launch to launch and drifts, both with priors. A session without turns shows only how the
+biases change with its temperature.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.together import join_sessions
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Member, Parameter, learned_fraction
-from tumble.run.calibrate import assumptions, estimated, provenance_of, systematic_of
-from tumble.run.from_estimate import result_of, without_result
-from tumble.run.launches import check_recordings, circumstances_of_all, digest_of_all
+from tumble.run.calibrate import assumptions, estimate_observations, new_provenance, passport_values
+from tumble.run.from_estimate import build_calibration, refused_calibration
+from tumble.run.launches import check_recordings, joint_circumstances, joint_digest
 from tumble.run.observed import Progress, inspect_session, observations_in_parts
 from tumble.sensors.frames import Frame
 from tumble.units import DEGREE, ZERO_CELSIUS
@@ -39,10 +39,7 @@ SAME_LATITUDE = 1e-9  # rad
 
 @checked
 def calibrate_together(
-    sessions: Sequence[Session | FilePath],
-    *,
-    frame: Frame = "accelerometer",
-    progress: Progress = Log.chunks,
+    sessions: Sequence[Session | FilePath], *, frame: Frame = "accelerometer", progress: Progress = Log.chunks
 ) -> Calibration:
     """Calibrate a device over temperature from several sessions in one estimate, by the method joint.
 
@@ -62,8 +59,8 @@ def calibrate_together(
     Raises
     ------
     InputError
-        For fewer than two sessions, for another device, place or sensors than those of the first session, for one log
-        twice, and for a session without temperatures.
+        If there are fewer than two sessions, if they differ in device, place or sensors, if one log is given twice, or
+        if a session has no temperatures.
 
     Examples
     --------
@@ -80,7 +77,7 @@ def calibrate_together(
         raise InputError("frame: expected accelerometer, paper or symmetric of several sessions, found 'case'")
     described = [session_from(session).of_known_scales() for session in sessions]
     _check_alike(described)
-    first, systematic = described[0], systematic_of(described[0])
+    first, systematic = described[0], passport_values(described[0])
     members, observations, numbers = list[Member](), list[Observations](), []
     circumstances, faults = [], []
     for session in described:
@@ -104,44 +101,44 @@ def calibrate_together(
                 date=observed.circumstances.date,
             )
         )
-    provenance = provenance_of(digest_of_all(member.log_sha256 for member in members))
+    provenance = new_provenance(joint_digest(member.log_sha256 for member in members))
     if faults:
-        return without_result(first, "joint", Outcome(reasons=tuple(faults)), provenance)
+        return refused_calibration(first, "joint", Outcome(reasons=tuple(faults)), provenance)
     check_recordings(described, [member.log_sha256 for member in members])
     for session, each in zip(described, observations, strict=True):
         if each.rests.temperature is None:
             raise InputError(f"{session.name}: expected temperatures in the log, found none that are numbers")
     joint_observations = join_sessions(observations, [member.session for member in members], numbers)
-    # errors of the clocks are taken for one, of the largest u of the sessions in which anything is turned
+    # the errors of all clocks are taken as one, with the largest u of the sessions with turns
     turned = [session.log for session, member in zip(described, members, strict=True) if member.turns]
     clock = max(turned or [session.log for session in described], key=lambda log: log.time_base_u)
     first = replace(first, log=replace(first.log, clock_u=clock.clock_u))
     if any(session.log.magnetometer is not None for session in described):
         note = "magnetometer: several sessions in one estimate leave it out; calibrate one alone for hard and soft iron"
         joint_observations = replace(joint_observations, notes=(*joint_observations.notes, note))
-    estimate = estimated(first, joint_observations, joint, systematic, "full")
+    estimate = estimate_observations(first, joint_observations, joint, systematic, "full")
     if isinstance(estimate, Outcome):
-        return without_result(first, "joint", estimate, provenance)
-    calibration, of_sessions = result_of(first, *estimate, systematic, frame, provenance), estimate[0].own
-    if of_sessions is not None:
-        by_session = zip(of_sessions.values.tolist(), of_sessions.u.tolist(), strict=True)
-        named = list(zip(of_sessions.names, of_sessions.units, of_sessions.priors.tolist(), strict=True))
+        return refused_calibration(first, "joint", estimate, provenance)
+    calibration, own = build_calibration(first, *estimate, systematic, frame, provenance), estimate[0].own
+    if own is not None:
+        by_session = zip(own.values.tolist(), own.u.tolist(), strict=True)
+        named = list(zip(own.names, own.units, own.priors.tolist(), strict=True))
         members = [
             replace(
                 member,
                 parameters=tuple(
                     Parameter(name=name, value=x, u=u, unit=unit, prior=prior, learned=learned_fraction(u, prior))
-                    for (name, unit, prior), x, u in zip(named, *own, strict=True)
+                    for (name, unit, prior), x, u in zip(named, *values_and_u, strict=True)
                 ),
             )
-            for member, own in zip(members, by_session, strict=True)
+            for member, values_and_u in zip(members, by_session, strict=True)
         ]
     return replace(
         calibration,
         evidence=replace(calibration.evidence, together=tuple(members)),
         provenance=replace(
             calibration.provenance,
-            circumstances=circumstances_of_all(circumstances),
+            circumstances=joint_circumstances(circumstances),
             assumptions=assumptions(first),
             notes=(
                 *calibration.provenance.notes,
@@ -159,7 +156,7 @@ def calibrate_together(
 
 
 def _check_alike(sessions: Sequence[Session]) -> None:
-    """Raises InputError for sessions of other devices, places or sensors than the first, or without temperatures."""
+    """Raise InputError if sessions differ from the first in device, place or sensors, or have no temperatures."""
 
     def same(a: float | None, b: float | None, limit: float) -> bool:
         return a is b if a is None or b is None else abs(a - b) < limit
@@ -186,10 +183,10 @@ def _check_alike(sessions: Sequence[Session]) -> None:
                 f"{session.name}: expected the sensors and thermometers of the first session, found others; list them "
                 "alike"
             )
-        ours, theirs = session.site, first.site
-        at_latitude = same(ours.latitude, theirs.latitude, SAME_LATITUDE)
-        if not (at_latitude and same(ours.gravity, theirs.gravity, SAME_GRAVITY)):
+        site, other = first.site, session.site
+        same_latitude = same(other.latitude, site.latitude, SAME_LATITUDE)
+        if not (same_latitude and same(other.gravity, site.gravity, SAME_GRAVITY)):
             raise InputError(
-                f"{session.name}: expected the place of the first session, {place(first.site)}, found "
-                f"{place(ours)}; give the same [site]"
+                f"{session.name}: expected the place of the first session, {place(site)}, found {place(other)}; give "
+                "the same [site]"
             )

@@ -1,32 +1,32 @@
-"""Still and warming: how biases change with temperature, from a device that lies at rest while it warms or cools.
+"""Temperature coefficients of biases, from a device that lies at rest while it warms or cools.
 
-A sensor p at rest reads, with d = T − T₀ of its temperature, which follows the thermometer with a lag,
+With d = T − T₀, where the temperature T of the sensor follows the thermometer with a lag, sensor p at rest reads
 
     y_p(t) = c_p + f_p Σ_k s_pk d^k + Σ_k b_pk d^k + β_p(t) + noise,     k = 1 … 3                                  (1)
 
-f_p the specific force along its axis, s_pk and b_pk the coefficients of its scale factor and bias, β_p its in-run
-process. A rest is cut into parts, which are rows of the joint estimate (`tumble.inference.joint`) as rests are: the
-polynomials are parameter groups with priors of usual size, which decide how high a degree span and noise support; the
-lags of both kinds, the sizes of the processes and their correlation times are integrated over. Parts of one rest have
-no scatter beyond the process. Neighbouring parts are joined by turns about nothing, which leave the attitude as it is
-but for a random walk (`CREEP`), whose two angles tilt all accelerometers alike; what a support creeps by beyond it the
-in-run process takes.
+f_p is the specific force along its axis, s_pk and b_pk are the coefficients of its scale factor and bias, and β_p is
+its in-run process. A rest is cut into parts, which enter the joint estimate (`tumble.inference.joint`) as rests do. The
+polynomials are parameter groups with priors of usual size, by which span and noise decide the degree; the lags of both
+kinds of sensors, the sizes of the processes and their correlation times are integrated over. Parts of one rest have no
+scatter beyond the process. Neighbouring parts are joined by turns of zero angle with a random walk of the attitude
+(`CREEP`), whose two angles tilt all accelerometers alike; a larger creep of the support is taken up by the in-run
+process.
 
-**One attitude.** c_p, f_p and the mean of β_p are not told apart, nor are s_pk and b_pk: what is estimated is the
+**One attitude.** c_p, f_p and the mean of β_p cannot be separated, nor can s_pk and b_pk: the estimate is the
 coefficient r_pk = b_pk + f_p s_pk of the reading. So the coefficient of the bias and its uncertainty are
 
     b_pk = r_pk − f_p ŝ_pk,     u²(b_pk) = u²(r_pk) + f_p² u²(s_pk)                                                 (2)
 
-with ŝ_pk and u(s_pk) those of a calibration that has them, else zero and the usual size. Several attitudes tell them
-apart, and s_pk are parameters too. The Earth's rate is constant in one attitude, and part of c_p of a gyro: of its
-direction only the angle from the vertical is known, and that where the latitude is.
+with ŝ_pk and u(s_pk) from a calibration that has them, else zero and the usual size. Several attitudes separate them,
+and s_pk are parameters too. In one attitude the Earth's rate is a constant part of c_p of a gyro; of its direction only
+the angle from the vertical is known, if the latitude is.
 
-**With a calibration** at a temperature T_A, θ_A with covariance, the result is θ_A with the polynomials about T_A,
+**With a calibration** at a temperature T_A, with parameters θ_A, the result is θ_A with polynomials about T_A,
 
     b(T) = b_A + Σ_k b_k (T − T_A)^k                                                                                (3)
 
-independent of θ_A but for (2): what the biases of this power-on differ by is in c_p alone. Where its temperature is not
-known it may be any of those that were recorded, and the change of (3) over them is in u(b_A).
+which are independent of θ_A except through (2): the change of the biases since then is in c_p alone. If T_A is not
+known it may be any recorded temperature, and the change of (3) over these is in u(b_A).
 """
 
 from __future__ import annotations
@@ -64,10 +64,10 @@ from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.from_estimate import (
     LAGS,
     check_sensors,
-    reference_of,
-    references_of,
+    mean_temperature,
+    refused_calibration,
     rest_results,
-    without_result,
+    sensor_temperatures,
 )
 from tumble.run.observed import Observed, observations_in_parts
 from tumble.sensors.model import Block, SensorModel
@@ -84,21 +84,15 @@ from tumble.sensors.parameters import (
 )
 from tumble.units import ZERO_CELSIUS, Array
 
-PARTS = 40
-"""Of a rest: what its in-run process and a lag do is seen at a fortieth of its length as well as it ever is."""
-LEAST_CHANGE = 1.0
-"""K: a recording whose temperature changes by less shows nothing over it."""
-HELD = 1e-7
-"""Standard deviation of scale factors and axis angles where no calibration says anything of them: slopes are known to
-fewer digits than they change them by."""
-FEWEST_DEGREES = 4.0
-"""Of what a lag leaves open."""
-CREEP = 1e-6
-"""rad/√s: the random walk of the attitude of what lies on a table, 12″ in an hour."""
+PARTS = 40  # of a rest: shorter parts show its in-run process and the lag no better
+LEAST_CHANGE = 1.0  # K, of the temperature in a recording that shows coefficients
+HELD = 1e-7  # prior of scale factors and axis angles without a calibration: slopes are not known to as many digits
+FEWEST_DEGREES = 4.0  # degrees of freedom of the variance that a lag adds
+CREEP = 1e-6  # rad/√s, random walk of the attitude of a device on a table, 12″ in an hour
 
 
-def lies_still(observed: Observed) -> bool:
-    """Whether a device lay in one attitude while its temperature changed."""
+def is_still(observed: Observed) -> bool:
+    """Return True if a device lay in one attitude while its temperature changed."""
     records = [file.temperature for file in observed.reduction.files if file.temperature is not None]
     if observed.faults or max((np.ptp(each, axis=0).max() for each in records), default=0.0) < LEAST_CHANGE:
         return False
@@ -108,16 +102,16 @@ def lies_still(observed: Observed) -> bool:
 
 
 def calibrate_warming(observed: Observed, base: Calibration | None, provenance: Provenance) -> Calibration:
-    """The calibration of a device that lay at rest over temperature: `base`, a calibration of it at one temperature,
-    whose biases get coefficients over temperature; without one the coefficients alone, and the biases of the gyros.
+    """Calibrate a device that lay at rest over temperature.
 
-    Raises InputError for a log without thermometer, and for a calibration of other sensors.
-    """
+    The biases of `base`, its calibration at one temperature, get coefficients over temperature; without it the result
+    has the coefficients and the biases of the gyros. Raises InputError for a log without thermometer, and for a
+    calibration of other sensors."""
     session = observed.session
-    taken = observations_in_parts(_at_rest(observed), PARTS)
-    if isinstance(taken, Outcome):
-        return without_result(session, "joint", taken, provenance)
-    observations = taken[0].of_accelerometers() if observed.gyro_faults else taken[0]
+    matched = observations_in_parts(_at_rest(observed), PARTS)
+    if isinstance(matched, Outcome):
+        return refused_calibration(session, "joint", matched, provenance)
+    observations = matched[0].of_accelerometers() if observed.gyro_faults else matched[0]
     if observations.thermometers is None or observations.rests.temperatures is None:
         raise InputError(
             f"{session.name}: expected the temperature beside the readings, with which biases change, found none; name "
@@ -131,29 +125,30 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
             raise InputError(f"calibration of {base.serial!r}: expected one with uncertainties, found none")
     readings = {f.file: (f.edges[1:], f.temperature) for f in observed.reduction.files if f.temperature is not None}
     estimate, observations = _estimated(session, observations, base, readings)
-    made = _with_coefficients(base or _nominal(session, estimate, observations), estimate, observations, session)
-    own, digest = made.provenance, provenance.log_sha256
+    calibration = _with_coefficients(base or _nominal(session, estimate, observations), estimate, observations, session)
+    base_provenance, digest = calibration.provenance, provenance.log_sha256
     if base is not None:
-        from tumble.run.launches import digest_of_all
+        from tumble.run.launches import joint_digest
 
-        digest = digest_of_all([own.log_sha256 or "", digest or ""])
+        digest = joint_digest([base_provenance.log_sha256 or "", digest or ""])
     return replace(
-        made,
+        calibration,
         provenance=replace(
-            own,
+            base_provenance,
             log_sha256=digest,
             software=provenance.software,
             created=provenance.created,
-            sample_rate=own.sample_rate or observed.rate,
-            notes=(*own.notes, *notes, *_notes(estimate, observations)),
-            assumptions=(*own.assumptions, *_assumptions(observations, base)),
+            sample_rate=base_provenance.sample_rate or observed.rate,
+            notes=(*base_provenance.notes, *notes, *_notes(estimate, observations)),
+            assumptions=(*base_provenance.assumptions, *_assumptions(observations, base)),
         ),
     )
 
 
 def _at_rest(observed: Observed) -> Observed:
-    """The same with the rests that the accelerometers show, where the gyros read alike from one second to the next in
-    each: of a device that warms fast they leave the level that they have at rest."""
+    """Take the rests that the accelerometers show if the gyros are steady from second to second in each.
+
+    The gyros of a device that warms fast leave the level that they have at rest."""
     rests = find_rests(observed.reduction, observed.session.accel_block, None).rests
     files, limit = observed.reduction.by_file, observed.segmentation.rate_limit
     second = max(1, round(1.0 / observed.reduction.block_seconds))
@@ -166,7 +161,6 @@ def _at_rest(observed: Observed) -> Observed:
 
 
 def _blocks(observations: Observations) -> list[Block]:
-    """Accelerometers, and gyros where there are some."""
     return [block for block in (observations.accel_block, observations.gyro_block) if block is not None]
 
 
@@ -176,62 +170,64 @@ def _blocks(observations: Observations) -> list[Block]:
 def _estimated(
     session: Session, observations: Observations, base: Calibration | None, readings: Mapping[int, tuple[Array, Array]]
 ) -> tuple[Estimate, Observations]:
-    """The coefficients over temperature by the joint estimate, and the observations with the usual sizes of groups."""
+    """Return the joint estimate of the temperature coefficients, and the observations with the usual sizes of
+    groups."""
     from tumble.run.calibrate import with_grade
 
-    given, several = with_grade(session, observations), not one_direction(observations.rests.accel)
-    turns = given.turns
-    turned = turns is not None and bool((turns.duration > 0.0).any())
+    graded, has_attitudes = with_grade(session, observations), not one_direction(observations.rests.accel)
+    turns = graded.turns
+    has_turns = turns is not None and bool((turns.duration > 0.0).any())
     if turns is not None:
-        middle = 0.5 * (given.rests.start + given.rests.stop)
-        walked = np.where(turns.duration > 0.0, 0.0, CREEP**2 * (middle[turns.last] - middle[turns.first]))
-        turns = replace(turns, covariance=turns.covariance + walked[:, None, None] * np.eye(3))
-    usual, sizes = dict(given.usual), dict[str, float]()
-    for kind, separate in (("accel", several), ("gyro", turned)):
+        middle = 0.5 * (graded.rests.start + graded.rests.stop)
+        creep = np.where(turns.duration > 0.0, 0.0, CREEP**2 * (middle[turns.last] - middle[turns.first]))
+        turns = replace(turns, covariance=turns.covariance + creep[:, None, None] * np.eye(3))
+    usual, sizes = dict(graded.usual), dict[str, float]()
+    for kind, separate in (("accel", has_attitudes), ("gyro", has_turns)):
         usual[f"{kind}.bias.t3"] = CURVED * usual[f"{kind}.bias.t2"]
         names = (
-            [f"bias.{power}" for power in OVER_TEMPERATURE] + ["lag"] + ["bias.hysteresis"] * ramps_up_and_down(given)
+            [f"bias.{power}" for power in OVER_TEMPERATURE] + ["lag"] + ["bias.hysteresis"] * ramps_up_and_down(graded)
         )
         names += [f"scale.{power}" for power in OVER_TEMPERATURE] if separate else []
         sizes |= {f"{kind}.{name}": usual[f"{kind}.{name}"] for name in names if f"{kind}.{name}" in usual}
-    known = {} if base is None else {p.name: p for p in base.in_frame("accelerometer").parameters}
-    linear = [name for block in _blocks(given) for name in block.names]
-    prior = {name: (known[name].u or HELD) if name in known else HELD for name in linear if ".bias" not in name}
+    calibrated = {} if base is None else {p.name: p for p in base.in_frame("accelerometer").parameters}
+    linear = [name for block in _blocks(graded) for name in block.names]
+    held = [name for name in linear if ".bias" not in name]
+    prior = {name: (calibrated[name].u or HELD) if name in calibrated else HELD for name in held}
     observations = replace(
-        with_thermometer_errors(given, readings),
+        with_thermometer_errors(graded, readings),
         turns=turns,
         usual=sizes,
-        start={name: known[name].value for name in linear if name in known},
+        start={name: calibrated[name].value for name in linear if name in calibrated},
     )
-    with np.errstate(invalid="ignore"):  # the mean rate of turns about nothing
-        estimate = joint(observations, prior=Prior(parameters=prior, undisturbed=not several))
+    with np.errstate(invalid="ignore"):  # mean rate of turns of zero duration
+        estimate = joint(observations, prior=Prior(parameters=prior, undisturbed=not has_attitudes))
     return estimate, replace(observations, usual=usual)
 
 
-# -------------------- what it gives --------------------
+# -------------------- the calibration --------------------
 
 
 def _nominal(session: Session, estimate: Estimate, observations: Observations) -> Calibration:
-    """What is known without a calibration: the biases of the gyros, and that the sensors are as they nominally are."""
+    """Return a calibration of nominal sensors with the biases of the gyros."""
     gyro, blocks, budget = observations.gyro_block, _blocks(observations), estimate.budget
     models = {block.kind: block.nominal() for block in blocks}
     names, values, covariance = list[str](), np.zeros(0), np.zeros((0, 0))
     assert budget is not None
     if gyro is not None:
         names = list(gyro.names[: gyro.size])
-        at = [estimate.names.index(name) for name in names]
-        values, budget = estimate.values[at], budget.carried(np.eye(len(estimate.names))[at])
+        indices = [estimate.names.index(name) for name in names]
+        values, budget = estimate.values[indices], budget.carried(np.eye(len(estimate.names))[indices])
         covariance = budget.covariances.sum(axis=0)
-        read = np.zeros(gyro.size)
-        read[gyro.channels] = values
-        models["gyro"] = SensorModel(matrix=models["gyro"].matrix, bias=read)
+        bias = np.zeros(gyro.size)
+        bias[gyro.channels] = values
+        models["gyro"] = SensorModel(matrix=models["gyro"].matrix, bias=bias)
     missing = tuple(name for block in blocks for name in block.names if name not in names)
     absent = f"{', '.join(dict.fromkeys(map(group_name, missing)))}: not shown at rest, taken as 0"
     provenance = Provenance(
         absent=(absent,),
         assumptions=(f"{absent}; tumble calibrate LOG --base FILE.json takes them from a calibration",),
     )
-    nothing = without_result(session, "joint", Outcome(unobservable=missing), provenance)
+    nothing = refused_calibration(session, "joint", Outcome(unobservable=missing), provenance)
     return replace(
         nothing,
         parameters=tuple(
@@ -256,70 +252,73 @@ def _nominal(session: Session, estimate: Estimate, observations: Observations) -
 def _with_coefficients(
     base: Calibration, estimate: Estimate, observations: Observations, session: Session
 ) -> Calibration:
-    """A calibration with these coefficients in the place of any that it has, Eq. (2) and (3)."""
+    """Return a calibration with these coefficients in place of any that it has, Eq. (2) and (3)."""
     assert estimate.budget is not None
     assert base.covariance is not None
     new = [n for n in estimate.names if beyond_linear(n) and getattr(base, sensor_kind(n)) is not None]
     replaced = set(map(group_name, new))
     kept = [i for i, p in enumerate(base.parameters) if group_name(p.name) not in replaced]
-    at, known = [base.parameters[i].name for i in kept], base.reference_temperature is not None
-    names, first = [*at, *new], len(kept)
+    kept_names, has_reference = [base.parameters[i].name for i in kept], base.reference_temperature is not None
+    names, first = [*kept_names, *new], len(kept)
     move = np.eye(len(estimate.names))
-    if known:  # from the references of this recording
-        own = replace(base, temperature=_temperature(session, observations))
-        move = to_references(own, estimate.names, base.temperature)
+    if has_reference:  # convert from the references of this recording
+        here = replace(base, temperature=_temperature(session, observations))
+        move = to_references(here, estimate.names, base.temperature)
     move = move[[estimate.names.index(name) for name in new]]
     budget = estimate.budget.carried(move)
-    of_data = move @ estimate.covariance @ move.T
-    covariance = scipy.linalg.block_diag(base.covariance[np.ix_(kept, kept)], of_data)
+    estimated = move @ estimate.covariance @ move.T
+    covariance = scipy.linalg.block_diag(base.covariance[np.ix_(kept, kept)], estimated)
     values = np.append([base.parameters[i].value for i in kept], move @ estimate.values)
 
     # Eq. (2)
     by_scale, block = np.eye(len(values)), observations.accel_block
     force = dict(zip(block.sensors, observations.rests.accel.mean(axis=0)[block.channels], strict=True))
     for power in OVER_TEMPERATURE if one_direction(observations.rests.accel) else ():
-        of_scale, size = np.zeros(len(new)), observations.usual.get(f"accel.scale.{power}", 0.0)
+        u_by_scale, size = np.zeros(len(new)), observations.usual.get(f"accel.scale.{power}", 0.0)
         for sensor, f in force.items():
             name, scale = f"accel.bias.{sensor}.{power}", f"accel.scale.{sensor}.{power}"
-            if scale in at:
-                by_scale[first + new.index(name), at.index(scale)] = -f
+            if scale in kept_names:
+                by_scale[first + new.index(name), kept_names.index(scale)] = -f
             elif name in new:
-                of_scale[new.index(name)] = size * f
-        budget = budget.with_source(source(f"prior.accel.scale.{power}", size, "1/K"), np.diag(of_scale**2))
-        covariance[first:, first:] += np.diag(of_scale**2)
+                u_by_scale[new.index(name)] = size * f
+        budget = budget.with_source(source(f"prior.accel.scale.{power}", size, "1/K"), np.diag(u_by_scale**2))
+        covariance[first:, first:] += np.diag(u_by_scale**2)
     covariance, values = by_scale @ covariance @ by_scale.T, by_scale @ values
     lines = {line.name: line for line in base.evidence.budget}
     for line in contributions_of(budget, new, observations.size_basis):
         before = lines.get(line.name, line)
         lines[line.name] = replace(before, contributions={**before.contributions, **line.contributions})
-    if not known:  # it may be any of the temperatures that were recorded
-        of_course = _course(observations, names, values)[:first, :first]
-        covariance[:first, :first] += of_course
+    if not has_reference:  # it may be any of the recorded temperatures
+        over_span = _covariance_over_span(observations, names, values)[:first, :first]
+        covariance[:first, :first] += over_span
         lines["temperature"] = SourceContributions(
             name="temperature",
             words="temperature of the calibration",
             type="B",
-            contributions={name: float(u) for name, u in zip(at, np.sqrt(np.diag(of_course)), strict=True) if u > 0.0},
+            contributions={
+                n: float(u) for n, u in zip(kept_names, np.sqrt(np.diag(over_span)), strict=True) if u > 0.0
+            },
         )
 
-    every = np.full(len(estimate.names), np.inf) if estimate.degrees is None else estimate.degrees
-    degrees = degrees_through(move, estimate.u, every.tolist())
-    of_lag = sum(c.diagonal() for c, each in zip(budget.covariances, budget.sources, strict=True) if each.name == "lag")
-    of_lag, u = np.broadcast_to(of_lag, len(new)), np.sqrt(np.diag(covariance))
+    all_degrees = np.full(len(estimate.names), np.inf) if estimate.degrees is None else estimate.degrees
+    degrees = degrees_through(move, estimate.u, all_degrees.tolist())
+    lag_sources = [i for i, each in enumerate(budget.sources) if each.name == "lag"]
+    by_lag = np.diagonal(budget.covariances[lag_sources], axis1=1, axis2=2).sum(axis=0).tolist()
+    u = np.sqrt(np.diag(covariance)).tolist()
     sizes = {group.name: group.prior * group.prior_widened for group in estimate.groups}
-    parameters = [replace(base.parameters[i], u=float(u[j])) for j, i in enumerate(kept)]
+    parameters = [replace(base.parameters[i], u=u[j]) for j, i in enumerate(kept)]
     for j, name in enumerate(new):
-        variance, by_lag, size, of_name = float(of_data[j, j]), float(of_lag[j]), sizes[group_name(name)], u[first + j]
-        parts = (variance - by_lag, degrees[j]), (by_lag, _degrees_of_lag(estimate, sensor_kind(name)))
+        variance, size, u_new = float(estimated[j, j]), sizes[group_name(name)], u[first + j]
+        parts = (variance - by_lag[j], degrees[j]), (by_lag[j], _lag_degrees(estimate, sensor_kind(name)))
         parameters.append(
             Parameter(
                 name=name,
                 value=float(values[first + j]),
-                u=float(of_name),
+                u=u_new,
                 unit=units_of([name])[0],
-                dof=welch_satterthwaite([*parts, (float(of_name) ** 2 - variance, None)]),
+                dof=welch_satterthwaite([*parts, (u_new**2 - variance, None)]),
                 prior=size,
-                learned=learned_fraction(float(of_name), size),
+                learned=learned_fraction(u_new, size),
             )
         )
     order = {group.name: i for i, group in enumerate(groups())}
@@ -336,55 +335,54 @@ def _with_coefficients(
             *(group for group in base.groups if group.name not in replaced),
             *(replace(group, kept=True) for group in estimate.groups if group.name in replaced),
         ),
-        temperature=replace(base.temperature, range=None) if known else _temperature(session, observations),
+        temperature=replace(base.temperature, range=None) if has_reference else _temperature(session, observations),
         evidence=replace(base.evidence, rests=(*base.evidence.rests, *rests), budget=tuple(lines.values())),
     )
 
 
-def _degrees_of_lag(estimate: Estimate, kind: str) -> float | None:
-    """Degrees of freedom of what a lag leaves open: its likelihood is that with the likeliest in-run bias. With ln σ of
-    that known to r, and a share p of it in the noise, the variance is known to 2 p r: ν = 1/(2 p² r²), but
-    no fewer than FEWEST_DEGREES, white noise, which is known, being beside it."""
+def _lag_degrees(estimate: Estimate, kind: str) -> float | None:
+    """Return the degrees of freedom of the variance that a lag adds, at least FEWEST_DEGREES.
+
+    The lag is estimated with the likeliest size σ of the in-run bias. If ln σ is known to r, and the bias has the share
+    p of the variance, this is known to 2 p r, so that ν = 1/(2 p² r²)."""
     budget = estimate.budget
     sizes = [h for h in estimate.hyperparameters if h.name == f"{kind}_in_run" and h.high > h.low]
     if not sizes or budget is None:
         return None
-    own = [i for i, name in enumerate(estimate.names) if group_name(name) == f"{kind}.bias.t1"]
-    by = dict(zip((s.name for s in budget.sources), budget.covariances[:, own, own].sum(axis=1), strict=True))
-    whole = sum(by.get(f"{kind}.{name}", 0.0) for name in ("noise", "scatter", "in_run"))
-    share, r = by.get(f"{kind}.in_run", 0.0) / max(whole, 1e-300), 0.5 * np.log(sizes[0].high / sizes[0].low)
+    slopes = [i for i, name in enumerate(estimate.names) if group_name(name) == f"{kind}.bias.t1"]
+    names = (each.name for each in budget.sources)
+    variances = dict(zip(names, budget.covariances[:, slopes, slopes].sum(axis=1), strict=True))
+    total = sum(variances.get(f"{kind}.{name}", 0.0) for name in ("noise", "scatter", "in_run"))
+    share, r = variances.get(f"{kind}.in_run", 0.0) / max(total, 1e-300), 0.5 * np.log(sizes[0].high / sizes[0].low)
     return max(0.5 / max(float(share * r), 1e-6) ** 2, FEWEST_DEGREES)
 
 
 def _temperature(session: Session, observations: Observations) -> CalibratedTemperature:
-    """Thermometers of a session, and their means as references."""
     channels = session.log.temperature
     assert channels is not None
     return CalibratedTemperature(
-        reference=reference_of(observations),
+        reference=mean_temperature(observations),
         thermometers={block.kind: channels.names(block.kind) for block in _blocks(observations)},
-        references=references_of(observations),
+        references=sensor_temperatures(observations),
     )
 
 
 def _kelvin(observations: Observations) -> Array:
-    """Temperatures (N, T) of the rests, K."""
     assert observations.rests.temperatures is not None
     return observations.rests.temperatures
 
 
-def _course(observations: Observations, names: list[str], values: Array) -> Array:
-    """Covariance (m, m) of parameters over the temperatures of the rests, by how they change with them."""
+def _covariance_over_span(observations: Observations, names: list[str], values: Array) -> Array:
+    """Return the covariance (m, m) of parameters over the temperatures of the rests, by their coefficients."""
     kelvin = _kelvin(observations)
     moves = [to_temperature(names, float(d)) for d in (kelvin - kelvin.mean(axis=0)).mean(axis=1)]
     return np.cov(np.array([(move - np.eye(len(names))) @ values for move in moves]), rowvar=False)
 
 
-# -------------------- what is said of it --------------------
+# -------------------- notes --------------------
 
 
 def _notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
-    """What the temperatures show, and what not."""
     celsius = _kelvin(observations) - ZERO_CELSIUS
     yield f"over temperature: {celsius.min():z.1f} to {celsius.max():z.1f} °C; beyond them nothing was measured"
     for name, sensors in LAGS.items():
@@ -404,7 +402,6 @@ def _notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
 
 
 def _assumptions(observations: Observations, base: Calibration | None) -> Iterator[str]:
-    """What was taken for granted."""
     span = float(np.ptp(_kelvin(observations), axis=0).max())
     if span < WIDE:
         yield (

@@ -1,12 +1,12 @@
-"""Recordings corrected with a calibration: a log in, a log out, sample by sample.
+"""Correction of a recorded log with a calibration, sample by sample.
 
-Each row is corrected by `tumble.use.corrector` at its temperature. Rows are neither added nor bridged, and a number
-that is not finite stays so. A column gets what a perfect sensor in its place would read, d · true, with its nominal
-axis d, in SI, or in the log's unit if the names of the columns state it, as in "ax [g]". A redundant block is solved by
-least squares, and its vector is added in the columns accel_x, accel_y, accel_z and gyro_x, gyro_y, gyro_z, in SI.
+Each row is corrected by `tumble.use.corrector` at its temperature. No rows are added, gaps are not bridged, and numbers
+that are not finite stay so. A column gets the reading d · true of a perfect sensor along its nominal axis d, in SI, or
+in the log's unit if the names of the columns state it, as in "ax [g]". A redundant block is solved by least squares,
+and its vector is added in the columns accel_x, accel_y, accel_z and gyro_x, gyro_y, gyro_z, in SI.
 
-Increments stay increments: an integral over an interval T is corrected by bias · T. T is the step in time, less the
-samples that are missing in it.
+Increments stay increments: an integral over an interval T is corrected by bias · T. T is the step in time without
+missing samples.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from tumble.units import Array, Unit
 from tumble.use.corrector import Stream
 
 _SLICE = 1 << 14
-"""Rows that are corrected at a time: what is made of them on the way fits the cache of a core."""
+"""Rows corrected at a time: intermediate results fit the cache of a core."""
 
 
 @checked
@@ -75,8 +75,7 @@ def apply_to_session(
     Raises
     ------
     InputError
-        For a calibration that is not accepted, belongs to another device or lacks a sensor, and for a log that cannot
-        be read.
+        If the calibration is not accepted, belongs to another device or lacks a sensor, or the log cannot be read.
 
     Examples
     --------
@@ -88,57 +87,60 @@ def apply_to_session(
     """
     calibration, session, path = accepted_part(calibration_from(calibration)), session_from(session), Path(out)
     session.check_new(path, force=force)
-    read = _channels(calibration, session)
-    written = {kind: _written(kind, each) for kind, each in read.items() if getattr(calibration, kind) is not None}
+    inputs = _input_channels(calibration, session)
+    outputs = {
+        kind: _output_channels(kind, each) for kind, each in inputs.items() if getattr(calibration, kind) is not None
+    }
     log = open_log(session)
-    nameless = path.suffix == ".csv" and session.log.dialect is not None and not session.log.dialect.header
-    write_tables(path, _tables(session, calibration, read, written, 1.0 / log.rate), header=not nameless)
+    headerless = path.suffix == ".csv" and session.log.dialect is not None and not session.log.dialect.header
+    write_tables(path, _corrected_tables(session, calibration, inputs, outputs, 1.0 / log.rate), header=not headerless)
     content = description_of(session)
     table = {key: value for key, value in content["log"].items() if key not in (*DIALECT_KEYS, "file")}
-    for kind, channels in written.items():
-        if channels is not read[kind] and kind in table:
-            stated = {key: table[kind][key] for key in ("columns", "axes") if key in table[kind]}
-            table[kind] = {**stated, "unit": channels.unit_name}
-    return {**content, "log": {"file": str(path.resolve()), **({"header": False} if nameless else {}), **table}}
+    for kind, channels in outputs.items():
+        if channels is not inputs[kind] and kind in table:
+            kept = {key: table[kind][key] for key in ("columns", "axes") if key in table[kind]}
+            table[kind] = {**kept, "unit": channels.unit_name}
+    return {**content, "log": {"file": str(path.resolve()), **({"header": False} if headerless else {}), **table}}
 
 
-def applied(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[str, ...]:
-    """Sentences on the parameters beyond the linear model that `apply_to_session` corrects, and that it does not."""
+def correction_notes(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[str, ...]:
+    """Return sentences on the groups beyond the linear model that `apply_to_session` applies and does not apply."""
     calibration, session = accepted_part(calibration_from(calibration)), session_from(session)
     compensator = calibration.compensator
     groups_here = positions_by_group(p.name for p in calibration.parameters)
-    out = [f"{absent}; their columns are copied as they are" for absent in calibration.provenance.absent]
+    notes = [f"{absent}; their columns are copied as they are" for absent in calibration.provenance.absent]
     without = "the calibration" if session.log.gyro is not None else "the session"
     if np.any(compensator.levers) and (session.log.gyro is None or compensator.gyro is None):
-        out.append(f"lever arms are not corrected: {without} has no gyros")
+        notes.append(f"lever arms are not corrected: {without} has no gyros")
     elif np.any(compensator.levers):
-        out.append("lever arms: the readings of the accelerometers are moved to the place of the last one")
-    if np.any(late := 1e3 * compensator.delays):
-        size = f"{late[0]:.3g} ms" if np.ptp(late) == 0.0 else f"{late.min():.3g} to {late.max():.3g} ms"
-        out.append(f"the delay of the accelerometers, {size}, is not undone: take it off their times")
+        notes.append("lever arms: the readings of the accelerometers are moved to the place of the last one")
+    if np.any(late_ms := 1e3 * compensator.delays):
+        size = f"{late_ms[0]:.3g} ms" if np.ptp(late_ms) == 0.0 else f"{late_ms.min():.3g} to {late_ms.max():.3g} ms"
+        notes.append(f"the delay of the accelerometers, {size}, is not undone: take it off their times")
     if compensator.warm and session.log.temperature is None:
         reference = calibration.reference_temperature
         temperature = "the reference" if reference is None else f"{reference:.1f} °C"
-        out.append(f"the session has no temperature: parameters are those at {temperature}")
+        notes.append(f"the session has no temperature: parameters are those at {temperature}")
     elif compensator.warm and any(compensator.lags.values()):
         lags = ", ".join(f"{lag:z.0f} s ({kind})" for kind, lag in compensator.lags.items())
-        out.append(f"sensors follow the thermometer with a lag of {lags}")
+        notes.append(f"sensors follow the thermometer with a lag of {lags}")
     if any(group.variable == "hysteresis" for group in groups() if group.name in groups_here):
-        out.append("hysteresis over temperature is not applied: parameters are the mean of both ways")
+        notes.append("hysteresis over temperature is not applied: parameters are the mean of both ways")
     if any(group.variable == "time" for group in groups() if group.name in groups_here):
-        out.append("drift in time is not undone: it belongs to the session in which it was found")
-    return tuple(out)
+        notes.append("drift in time is not undone: it belongs to the session in which it was found")
+    return tuple(notes)
 
 
-def _channels(calibration: Calibration, session: Session) -> dict[str, Channels]:
-    """The sensors whose readings the correction takes, by kind; accelerometers that the calibration does not have for
-    what gyros feel of them. Raises InputError for a calibration of another device or of other sensors."""
+def _input_channels(calibration: Calibration, session: Session) -> dict[str, Channels]:
+    """Return the sensors whose readings the correction needs; the g-sensitivity of gyros needs the accelerometers.
+
+    Raises InputError for a calibration of another device or of other sensors."""
     check_device(calibration, session)
     log, compensator = session.log, calibration.compensator
-    read = {"accel": log.accel}
+    inputs = {"accel": log.accel}
     if log.gyro is not None and (calibration.gyro is not None or not calibration.provenance.absent):
-        read["gyro"] = log.gyro
-    for kind, channels in read.items():
+        inputs["gyro"] = log.gyro
+    for kind, channels in inputs.items():
         block: Block | None = getattr(compensator, kind)
         count = 0 if block is None else block.size
         if count != len(channels.columns):
@@ -153,12 +155,12 @@ def _channels(calibration: Calibration, session: Session) -> dict[str, Channels]
                 f"{session.name}: log.magnetometer.unit: expected that of the calibration, {unit!r}, found "
                 f"{log.magnetometer.unit_name!r}; calibrate in the unit of the log"
             )
-        read["mag"] = log.magnetometer
-    return read
+        inputs["mag"] = log.magnetometer
+    return inputs
 
 
-def _written(kind: str, channels: Channels) -> Channels:
-    """The corrected columns: in the log's unit, scale and offset if their names state them, else in SI."""
+def _output_channels(kind: str, channels: Channels) -> Channels:
+    """Return the corrected channels: in the log's unit, scale and offset if their names state the unit, else in SI."""
     if {unit_of_name(kind, column) for column in channels.columns} == {channels.unit_name}:
         return channels
     sensors, (rate, increment) = len(channels.columns), SI.get(kind, (channels.unit_name,) * 2)
@@ -172,86 +174,85 @@ def _written(kind: str, channels: Channels) -> Channels:
 
 
 def _vector_columns(kind: str, channels: Channels) -> list[str]:
-    """Columns for the vector of a redundant block."""
     return [f"{kind}_{axis}" for axis in "xyz"] if len(channels.columns) > 3 else []
 
 
 def _readings(channels: Channels, table: pl.DataFrame) -> Array:
-    """Readings (N, n) of a table, SI; of increments the integrals themselves."""
+    """Return the readings (N, n) of a table, SI; increments as integrals."""
     raw = side_by_side(table, channels.columns)
     return channels.to_si(raw, np.ones(len(raw)))
 
 
-def _tables(
+def _corrected_tables(
     session: Session,
     calibration: Calibration,
-    read: Mapping[str, Channels],
-    written: Mapping[str, Channels],
+    inputs: Mapping[str, Channels],
+    outputs: Mapping[str, Channels],
     interval: float,
 ) -> Iterator[pl.DataFrame]:
-    """The corrected rows of all files, in tables of a bounded size."""
     names: list[str] | None = None
-    spec = session.log
-    numbers = [column for channels in read.values() for column in channels.columns]  # the others are as they are
-    if spec.dialect is not None and spec.dialect.decimal == ",":  # all that the session names
-        numbers = [column for column in spec.columns if not (spec.clock and column == spec.time)]
-    heat = 1 if spec.temperature is None else len(spec.temperature.columns)
+    layout = session.log
+    numbers = [column for channels in inputs.values() for column in channels.columns]
+    if layout.dialect is not None and layout.dialect.decimal == ",":  # all columns that the session names
+        numbers = [column for column in layout.columns if not (layout.clock and column == layout.time)]
+    thermometers = 1 if layout.temperature is None else len(layout.temperature.columns)
     compensator = calibration.compensator
-    stream = Stream(compensator, interval, blocks=(session.accel_block, session.gyro_block), heat=heat)
-    for file in spec.files:
-        source = source_of(file, spec.dialect)
-        added = (column for kind, channels in written.items() for column in _vector_columns(kind, channels))
+    stream = Stream(compensator, interval, blocks=(session.accel_block, session.gyro_block), thermometers=thermometers)
+    for file in layout.files:
+        source = source_of(file, layout.dialect)
+        added = (column for kind, channels in outputs.items() for column in _vector_columns(kind, channels))
         for column in (column for column in added if column in source.names):
             raise InputError(f"{source.path}: expected no column '{column}', the block's vector gets it; rename it")
         slices = chain.from_iterable(t.iter_slices(_SLICE) for t in one_ahead(source.whole(numbers)))
-        for table, true in _corrected(slices, source.path, session, read, compensator, stream, interval):
+        for table, true in _corrected_vectors(slices, source.path, session, inputs, compensator, stream, interval):
             names = table.columns if names is None else names
             if table.columns != names:
                 raise LogError(
                     f"{source.path}: expected the columns of the first file, {', '.join(names)}; write them alike"
                 )
-            if calibration.mag is not None and "mag" in read:
-                true["mag"] = calibration.mag.apply(_readings(read["mag"], table))
-            new = dict[str, Array]()
-            for kind, channels in written.items():
+            if calibration.mag is not None and "mag" in inputs:
+                true["mag"] = calibration.mag.apply(_readings(inputs["mag"], table))
+            columns = dict[str, Array]()
+            for kind, channels in outputs.items():
                 along_body = np.array_equal(channels.axes, np.eye(3))
                 perfect = true[kind] if along_body else true[kind] @ channels.axes.T
-                new |= zip(channels.columns, channels.from_si(perfect).T, strict=True)
-                new |= zip(_vector_columns(kind, channels), true[kind].T, strict=False)
-            corrected_columns = {name: pl.Series(name, column.copy()) for name, column in new.items()}
-            # `with_columns` of polars takes as long as correcting a few thousand rows
+                columns |= zip(channels.columns, channels.from_si(perfect).T, strict=True)
+                columns |= zip(_vector_columns(kind, channels), true[kind].T, strict=False)
+            corrected_columns = {name: pl.Series(name, column.copy()) for name, column in columns.items()}
+            # polars' `with_columns` takes as long as correcting a few thousand rows
             yield pl.DataFrame(list(({each.name: each for each in table} | corrected_columns).values()))
 
 
-def _corrected(
+def _corrected_vectors(
     tables: Iterable[pl.DataFrame],
     path: Path,
     session: Session,
-    read: Mapping[str, Channels],
+    inputs: Mapping[str, Channels],
     compensator: Compensator,
     stream: Stream,
     interval: float,
 ) -> Iterator[tuple[pl.DataFrame, dict[str, Array]]]:
-    """Tables of one file with the true vectors (N, 3) of their rows by kind of sensor, or their increments. With a
-    stream that has a delay, a table comes after the next one is read."""
-    spec, increments = session.log, {kind for kind, channels in read.items() if channels.unit.kind == "increment"}
-    irregular = spec.time is not None and not spec.regular and (stream.moved or bool(increments))
+    """Return tables of one file with the true vectors (N, 3) of their rows, or their increments, by kind of sensor.
+
+    If the stream has a delay, a table comes after the next one is read."""
+    layout, increments = session.log, {kind for kind, channels in inputs.items() if channels.unit.kind == "increment"}
+    irregular = layout.time is not None and not layout.regular and (stream.moved or bool(increments))
     warm = compensator.warm and bool(compensator.references)
     ready = {kind: np.zeros((0, 3)) for kind in ("accel", "gyro")[: 1 + stream.gyros]}
     waiting, last = list[tuple[pl.DataFrame, Array]](), None
     for table in chain(tables, [None]):
         if table is None:
-            now = stream.finish()
+            corrected = stream.finish()
         else:
             time = celsius = None
             intervals = np.ones((table.height, 1))
             with rows_of_numbers(path):
                 if irregular:
-                    time = times_of(table[spec.time or ""], spec)
-                if spec.temperature is not None and warm:
-                    numbers = table.select(pl.col(spec.temperature.columns).cast(pl.Float64)).to_numpy()
-                    celsius = np.asarray(spec.temperature.to_celsius(numbers), dtype=float)
-            if increments:  # each is the integral over its step in time, less the samples that are missing in it
+                    time = times_of(table[layout.time or ""], layout)
+                if layout.temperature is not None and warm:
+                    numbers = table.select(pl.col(layout.temperature.columns).cast(pl.Float64)).to_numpy()
+                    celsius = np.asarray(layout.temperature.to_celsius(numbers), dtype=float)
+            if increments:  # integrals over the steps in time without missing samples
                 steps = np.full(table.height, interval)
                 if time is not None:
                     steps = np.diff(time, prepend=time[0] - interval if last is None else last)
@@ -263,47 +264,42 @@ def _corrected(
                         )
                     steps /= np.maximum(np.floor(steps / interval + 0.5), 1.0)
                 intervals = steps[:, None]
-            with np.errstate(invalid="ignore"):  # damaged readings or steps give readings that are no numbers
+            with np.errstate(invalid="ignore"):  # damaged readings or steps give NaN
                 means = {
-                    kind: _readings(read[kind], table) / (intervals if kind in increments else 1.0)
+                    kind: _readings(inputs[kind], table) / (intervals if kind in increments else 1.0)
                     for kind in ("accel", "gyro")
-                    if kind in read
+                    if kind in inputs
                 }
-            now = stream.add(means["accel"], means.get("gyro"), time, celsius)
+            corrected = stream.add(means["accel"], means.get("gyro"), time, celsius)
             waiting.append((table, intervals))
-        for kind, vectors in (("accel", now.force), ("gyro", now.rate)):
+        for kind, vectors in (("accel", corrected.force), ("gyro", corrected.rate)):
             if vectors is not None:
                 ready[kind] = np.concatenate([ready[kind], vectors])
         while waiting and len(ready["accel"]) >= waiting[0][0].height:
             table, intervals = waiting.pop(0)
             N = table.height
-            yield (
-                table,
-                {kind: true[:N] * (intervals if kind in increments else 1.0) for kind, true in ready.items()},
-            )
+            yield (table, {kind: true[:N] * (intervals if kind in increments else 1.0) for kind, true in ready.items()})
             ready = {kind: true[N:] for kind, true in ready.items()}
 
 
 def check_device(calibration: Calibration, session: Session) -> None:
-    """Raise InputError for a session of another device than the calibration's, or one whose sensors have other
-    thermometers, where they depend on temperature. A session without thermometers passes."""
+    """Raise InputError for a session of another device, or with other thermometers if the parameters need them.
+
+    A session without thermometers passes."""
     if session.device.serial != calibration.serial:
         raise InputError(
             f"{session.name}: expected a session of device {calibration.serial!r}, which was calibrated, found "
             f"{session.device.serial!r}"
         )
     temperature = session.log.temperature
-    if (
-        temperature is None
-        or (calibration.accel is None and calibration.gyro is None)
-        or not calibration.compensator.warm
-    ):
+    if temperature is None or (calibration.accel is None and calibration.gyro is None):
         return
     compensator = calibration.compensator
-    for made, now in ((compensator.accel, session.accel_block), (compensator.gyro, session.gyro_block)):
-        if made is not None and now is not None and not np.array_equal(made.thermometer, now.thermometer):
-            then = ", ".join(calibration.temperature.thermometers.get(made.kind, ())) or "one for all sensors"
+    blocks = (compensator.accel, session.accel_block), (compensator.gyro, session.gyro_block)
+    for block, here in blocks if compensator.warm else ():
+        if block is not None and here is not None and not np.array_equal(block.thermometer, here.thermometer):
+            names = ", ".join(calibration.temperature.thermometers.get(block.kind, ())) or "one for all sensors"
             raise InputError(
-                f"{session.name}: log.temperature.columns: expected a thermometer for each sensor {made.kind} as in "
-                f"the calibration, {then}, found {', '.join(temperature.names(made.kind))}"
+                f"{session.name}: log.temperature.columns: expected a thermometer for each sensor {block.kind} as in "
+                f"the calibration, {names}, found {', '.join(temperature.names(block.kind))}"
             )

@@ -1,27 +1,27 @@
-"""Whether a calibration still holds for its device, by rests in any attitude, and what has changed.
+"""Check whether a calibration still holds for its device, by rests in any attitude, and find what has changed.
 
-The parameters at the time of the check have the values of the calibration and the prior covariance P, with
+At the time of the check the parameters have the values of the calibration and the prior covariance P, with
 
     P = Σ + diag(s²),   D = N Σ N + diag(s²/√ν_s),   N = diag(ν^(−1/4))                                         (1)
 
 Σ is the covariance of the calibration, estimated with ν degrees of freedom for each parameter, and D the uncertainty of
-P (`tumble.methods.field_check`, Eq. (3)). s² is the variance of what turning the device on again changes: 2 s_g², with
-s_g the usual standard deviation for the grade and 1/ν_s = 0, as a single launch is as far from the mean of all launches
-as the one that is checked. If several launches of the device are known, with the pooled variance s_L² of ν_L degrees of
-freedom, s_g² is replaced by
+P (`tumble.methods.field_check`, Eq. (3)). s² is the variance of the changes from one power-on to the next. It is 2 s_g²
+with 1/ν_s = 0, where s_g is the usual standard deviation for the grade: a single launch is as far from the mean of all
+launches as the launch that is checked. If several launches of the device are known, with the pooled variance s_L² of
+ν_L degrees of freedom, s_g² is replaced by
 
     s² = max(s_L², [4 s_g² + ν_L s_L²]/(ν_L + 4)),   ν_s = ν_L or ν_L + 4                                         (2)
 
-because two launches that happen to agree do not predict that the third will: s_g² counts as if it had been estimated
-with four degrees of freedom. If the calibration is the mean of several launches, the factor two is absent.
+so that s_g² counts as an estimate with four degrees of freedom: two launches that happen to agree do not predict that
+the third will. If the calibration is the mean of several launches, the factor two is absent.
 
 Groups of parameters that the calibration does not have, and drifts, which belong to a session, are zero with the usual
-standard deviation for the grade. If the temperatures of calibration and check are known, the parameters are taken to
-that of the check. If both use the same stated gravity, its error is in the scale factors too, with the opposite sign.
-Scatter is that of the calibration, and in-run biases have the usual size for the grade.
+standard deviation for the grade. If the temperatures of calibration and check are known, the parameters are converted
+to the temperature of the check. If both use the same stated gravity, its error is in the scale factors too, with the
+opposite sign. The scatter is that of the calibration; in-run biases have the usual size for the grade.
 
-The rests are also compared with gravity one by one (`tumble.use.positions`). This alone decides for a table of
-readings, for the rests of the calibration itself, and for a calibration in the frame of the case.
+The rests are also compared with gravity one by one (`tumble.use.positions`). This comparison alone decides for a table
+of readings and for a calibration in the frame of the case.
 """
 
 from __future__ import annotations
@@ -54,34 +54,33 @@ from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
-from tumble.result.coverage import by_gravity, shared_gravity
+from tumble.result.coverage import gravity_sensitivity, shared_gravity
 from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.record import to_references
 from tumble.run.calibrate import grade_of
-from tumble.run.from_estimate import check_sensors, reference_of, references_of
+from tumble.run.from_estimate import check_sensors, mean_temperature, sensor_temperatures
 from tumble.run.observed import inspect_session, observations_for_calibration
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name, group_of, shown_in, usual_sizes, variable_of
 from tumble.units import ZERO_CELSIUS, engineering
 from tumble.use.apply import check_device
-from tumble.use.positions import PositionResiduals, residuals_in, table_observations
+from tumble.use.positions import PositionResiduals, position_residuals, table_observations
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 
-USUAL_DEGREES = 4.0
-"""Degrees of freedom with which the variances of a grade count: these are known to a third."""
+GRADE_DEGREES = 4.0
+"""Degrees of freedom of the variances usual for a grade, which are known to a third."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class CheckedRest:
-    """A rest, or a position of a table, compared with gravity: the difference of gravity less the modulus of the
-    corrected reading, m/s², its standard uncertainty, and the ratio of both, in a stream as the calibration and the
-    rests before predict it, None, or not a number, if nothing predicts the rest; with times, s, and temperature, °C.
+    """A rest, or a position of a table, compared with gravity.
 
-    In a stream only: which of "temperature" and "force" are `outside` of the calibrated range, the tests of the biases
-    by this rest, and `why` a quiet stretch is not used as a rest.
-    """
+    `difference` is gravity less the modulus of the corrected reading, m/s², `u` its standard uncertainty and `sigmas`
+    their ratio; both are None where nothing predicts the rest. In a stream the calibration and the rests before predict
+    it; `outside` names which of "temperature" and "force" are outside the calibrated range, `judged` are the tests of
+    the biases by this rest, and `why` is the reason if a quiet stretch is not used as a rest."""
 
     label: str
     difference: float
@@ -99,22 +98,19 @@ class CheckedRest:
 class FieldCheck(Judged):
     """Result of the check of a calibration.
 
-    `rests` are those of the session, table or stream; if `left_out`, those of the calibration, each left out in turn.
-    `rest_limit` is what their largest |difference|/u exceeds by chance in one of 100 cases, None in a stream. Of
-    `turns` so many were used. `changes` is what has changed, `parameters` the test of every parameter that rests and
-    turns determine, empty if the rests alone decide, with the `largest` |change|/u and the `limit` that it exceeds by
-    chance in CHANCE of all checks; `unseen` are groups of parameters that they do not determine. `misfit` are residuals
-    that no change explains; `rests_agree` if they are those of the turns alone. `notes` say what was assumed.
-    """
+    `rests` are those of the session, table or stream; chance makes their largest |difference|/u exceed `rest_limit` in
+    one of 100 cases. `turns` is the number of turns used. `parameters` are the tests of the parameters that rests and
+    turns determine, with the `largest` |change|/u and its `limit`; they are empty if the comparison with gravity alone
+    decides. `changes` are the parameters that have changed, `unseen` the groups that are not determined, `misfit` the
+    residuals that no change explains; `rests_agree` if there are none without the turns. `notes` are assumptions."""
 
     json_fields: ClassVar = (
-        "verdict", "reasons", "source", "rests", "left_out", "rest_limit", "turns", "changes", "parameters", "largest",
+        "verdict", "reasons", "source", "rests", "rest_limit", "turns", "changes", "parameters", "largest",
         "limit", "unseen", "misfit", "notes",
     )  # fmt: skip
 
     source: str
     rests: tuple[CheckedRest, ...]
-    left_out: bool = False
     rest_limit: float | None = None
     turns: int = 0
     changes: tuple[ChangedParameter, ...] = ()
@@ -128,19 +124,19 @@ class FieldCheck(Judged):
 
     @property
     def valid(self) -> bool:
-        """Whether no change is shown."""
+        """Whether the check shows no change."""
         return not self.reasons
 
     @property
     def explained(self) -> bool:
-        """Whether chance and the changes explain the rests and turns."""
+        """Whether chance and the changes found explain the rests and turns."""
         return self.misfit is None or self.misfit.probability >= MISFIT_CHANCE
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """What has changed, in sentences; empty if no change is shown."""
+        """Sentences on what has changed; empty if the check shows no change."""
         if self.misfit is None:
-            return beyond_limit(self.rests, self.rest_limit)
+            return _rests_beyond(self.rests, self.rest_limit)
         if self.explained:
             return tuple(change_text(change) for change in self.changes)
         agree = "its rests alone agree with the calibration, so that the turns are to blame; "
@@ -153,14 +149,14 @@ class FieldCheck(Judged):
         )
 
 
-def tested(result: CheckResult) -> dict[str, Any]:
-    """The fields of a `FieldCheck` that describe the tests of the parameters."""
-    same = {name: getattr(result, name) for name in ("changes", "largest", "limit", "unseen", "misfit")}
-    return same | {"parameters": tuple(result.tests.values())}
+def parameter_test_fields(result: CheckResult) -> dict[str, Any]:
+    """Return the fields of a `FieldCheck` that describe the tests of the parameters."""
+    names = ("changes", "largest", "limit", "unseen", "misfit")
+    return {name: getattr(result, name) for name in names} | {"parameters": tuple(result.tests.values())}
 
 
 def change_text(change: ChangedParameter) -> str:
-    """A sentence that says by how much a parameter has changed, and what would explain as much."""
+    """Return a sentence on the change of a parameter and on changes of others that explain the rests as well."""
     (size, unit), value = shown_in(change.name, change.unit, change.value), change.value
     text = f"{change.name} has changed by {value / size:+.3g} {unit} (u {change.u / size:.2g} {unit})"
     for name, value in change.others.items():
@@ -169,8 +165,8 @@ def change_text(change: ChangedParameter) -> str:
     return text + f"; by chance with probability {change.probability:.1g} at most"
 
 
-def beyond_limit(rests: Sequence[CheckedRest], limit: float | None) -> tuple[str, ...]:
-    """Sentences on the rests whose difference from gravity is beyond the limit."""
+def _rests_beyond(rests: Sequence[CheckedRest], limit: float | None) -> tuple[str, ...]:
+    """Return sentences on the rests whose difference from gravity is beyond the limit."""
     if limit is None:
         return ()
     size, unit = engineering("m/s^2", max((abs(rest.difference) for rest in rests if rest.sigmas), default=0.0))
@@ -184,10 +180,7 @@ def beyond_limit(rests: Sequence[CheckedRest], limit: float | None) -> tuple[str
 
 @checked
 def check_calibration(
-    calibration: Calibration | FilePath,
-    readings: Session | FilePath,
-    *,
-    launches: Sequence[LaunchVariances] = (),
+    calibration: Calibration | FilePath, readings: Session | FilePath, *, launches: Sequence[LaunchVariances] = ()
 ) -> FieldCheck:
     """Check whether a calibration still holds.
 
@@ -197,11 +190,11 @@ def check_calibration(
         An accepted calibration of accelerometers, or its file.
     readings
         A session of the device with three or more rests in any attitude, or its folder; or a file with a table of
-        readings at rest, one row per position, in the unit of the table that the calibration was made from. The session
-        or table of the calibration itself is checked by leaving out each of its positions in turn.
+        readings at rest, one row per position, in the unit of the table that the calibration was made from. The
+        session or table of the calibration itself is refused.
     launches
-        Launches of the device behind its other calibrations, by which it is judged how much turning it on again
-        changes. By default this is what is usual for its grade.
+        Launches behind other calibrations of the device, which show how much it changes from one power-on to the next.
+        By default as is usual for its grade.
 
     Returns
     -------
@@ -211,9 +204,9 @@ def check_calibration(
     Raises
     ------
     CalibrationError
-        For a calibration that is not accepted, or has no uncertainties.
+        If the calibration is not accepted or has no uncertainties.
     InputError
-        For readings of another device, of other sensors, or without rests.
+        If the readings are those of another device, of other sensors, of the calibration itself, or without rests.
 
     Examples
     --------
@@ -229,7 +222,7 @@ def check_calibration(
     if not isinstance(readings, Session) and not Path(readings).is_dir():
         rows, table = table_observations(accepted, Path(readings))
         labels = [f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)]
-        return _by_gravity(str(readings), residuals_in(accepted, rows, table.sha256), label=labels)
+        return _gravity_check(str(readings), position_residuals(accepted, rows, table.sha256), label=labels)
     session = session_from(readings)
     check_session(accepted, session)
     observed = inspect_session(replace(session, programme=None))
@@ -241,17 +234,17 @@ def check_calibration(
     # each rest against gravity
     rests, kelvin = observations.rests, observations.rests.temperature
     start, stop = rests.start.tolist(), rests.stop.tolist()
-    by_rests = _by_gravity(
+    check = _gravity_check(
         session.name,
-        residuals_in(accepted, observations, observed.sha256),
+        position_residuals(accepted, observations, observed.sha256),
         label=[f"rest {i} ({t:z.1f}–{end:z.1f} s)" for i, (t, end) in enumerate(zip(start, stop, strict=True), 1)],
         start=start,
         stop=stop,
         celsius=len(rests) * [None] if kelvin is None else (kelvin - ZERO_CELSIUS).tolist(),
     )
-    by_rests = replace(by_rests, notes=accepted.provenance.absent)
-    if by_rests.left_out or accepted.frame == "case":
-        return by_rests
+    check = replace(check, notes=accepted.provenance.absent)
+    if accepted.frame == "case":
+        return check
 
     # all parameters
     converted = accepted.in_frame("accelerometer")
@@ -265,42 +258,43 @@ def check_calibration(
         at_rest = observations.of_accelerometers()
         rests_agree = field_check(at_rest, prior_at_check(converted, at_rest, grade, sheet, launches)).valid
     return replace(
-        by_rests,
+        check,
         turns=0 if observations.turns is None else len(observations.turns),
-        **tested(result),
+        **parameter_test_fields(result),
         rests_agree=rests_agree,
-        notes=(*by_rests.notes, *_assumptions(converted, reference_of(observations), grade, guessed_from, launches)),
+        notes=(*check.notes, *_assumptions(converted, mean_temperature(observations), grade, guessed_from, launches)),
     )
 
 
-def _by_gravity(source: str, residuals: PositionResiduals, **columns: Sequence[Any]) -> FieldCheck:
-    """A check by the differences from gravity alone; `columns` are the other fields of its rests."""
+def _gravity_check(source: str, residuals: PositionResiduals, **columns: Sequence[Any]) -> FieldCheck:
+    """Return a check by the differences from gravity alone; `columns` are the other fields of its rests."""
     columns |= {name: getattr(residuals, name).tolist() for name in ("difference", "u", "sigmas")}
     rows = zip(*columns.values(), strict=True)
     rests = tuple(CheckedRest(**dict(zip(columns, row, strict=True))) for row in rows)
-    return FieldCheck(source=source, rests=rests, left_out=residuals.left_out, rest_limit=residuals.limit)
+    return FieldCheck(source=source, rests=rests, rest_limit=residuals.limit)
 
 
 def _assumptions(
-    calibration: Calibration, now: float | None, grade: str, guessed_from: str, launches: Sequence[LaunchVariances]
+    calibration: Calibration, celsius: float | None, grade: str, guessed_from: str, launches: Sequence[LaunchVariances]
 ) -> Iterator[str]:
-    """Notes on what turning on again changes, and on the temperature, which is `now` in °C."""
+    """Return notes on changes from one power-on to the next, and on the temperature of the check, °C."""
     origin = f", guessed from {guessed_from}; [device] grade states another" if guessed_from else ""
     count = sum(each.degrees + 1 for each in launches)
-    of_device = f", or as from launch to launch of {count} launches of the device" if launches else ""
+    by_launches = f", or as from launch to launch of {count} launches of the device" if launches else ""
     yield (
-        f"what turning on again changes: as usual of the grade {grade}{of_device}{origin}; it is allowed for in the "
+        f"what turning on again changes: as usual of the grade {grade}{by_launches}{origin}; it is allowed for in the "
         "tests of the parameters, and not in u of g − |f|"
     )
-    then = calibration.reference_temperature
-    if then is None or now is None:
+    reference = calibration.reference_temperature
+    if reference is None or celsius is None:
         yield "the temperatures of calibration and check are not both known: no difference is allowed for"
-    elif abs(now - then) > 1.0:
-        yield f"calibrated at {then:.1f} °C, checked at {now:.1f} °C: parameters by their slopes and curvatures"
+    elif abs(celsius - reference) > 1.0:
+        temperatures = f"calibrated at {reference:.1f} °C, checked at {celsius:.1f} °C"
+        yield f"{temperatures}: parameters by their slopes and curvatures"
 
 
 def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
-    """The accepted part of a calibration; raise CalibrationError without accelerometers or uncertainties."""
+    """Return the accepted part of a calibration; raise CalibrationError without accelerometers or uncertainties."""
     accepted = accepted_part(calibration_from(calibration))
     if accepted.accel is None:
         why = "; ".join(accepted.provenance.absent) or "none of accelerometers"
@@ -319,10 +313,10 @@ def check_session(calibration: Calibration, session: Session) -> None:
     check_sensors(calibration, session)
 
 
-def _launches(calibration: Calibration, others: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:
-    """The launches behind a calibration and those of other ones of its device, each once."""
+def _launches(calibration: Calibration, further: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:
+    """Return the launches behind a calibration and behind others of its device, each once."""
     behind = launch_variances(calibration)
-    return others if behind is None else (behind, *(each for each in others if not each.logs & behind.logs))
+    return further if behind is None else (behind, *(each for each in further if not each.logs & behind.logs))
 
 
 # -------------------- the prior --------------------
@@ -335,16 +329,17 @@ def prior_at_check(
     data_sheet: Mapping[str, float],
     launches: Sequence[LaunchVariances] = (),
 ) -> CheckPrior:
-    """The prior of the parameters at the check, Eq. (1), by a calibration in the frame `accelerometer`, the grade of
-    the device or the standard deviations by group that its data sheet states instead, and launches behind other
-    calibrations of the device."""
-    usual = usual_sizes(grade, data_sheet)
+    """Return the prior of the parameters at the check, Eq. (1), by a calibration in the frame `accelerometer`.
+
+    The data sheet has standard deviations by group, SI, in place of those of the grade; `launches` are those behind
+    other calibrations of the device."""
+    sizes = usual_sizes(grade, data_sheet)
     instrument = Instrument.of(
-        observations.accel_block, observations.gyro_block, set(usual), variables_of(observations)
+        observations.accel_block, observations.gyro_block, set(sizes), variables_of(observations)
     )
     names, linear = instrument.names, instrument.names[: instrument.linear_count]
 
-    # Σ with the uncertainty of gravity before it: by the calibration, and of the usual size what it does not have
+    # Σ with gravity as first row: from the calibration, and of the usual size for parameters that it does not have
     calibrated = {p.name: p.value for p in calibration.parameters if variable_of(p.name) != "time"}
     missing = [name for name in linear if name not in calibrated]
     if missing or calibration.covariance is None:
@@ -353,30 +348,30 @@ def prior_at_check(
             f"{', '.join(missing)}; check with recordings of the same device"
         )
     gravity, values = observations.site.gravity_u, np.array([calibrated.get(name, 0.0) for name in names])
-    with_gravity = np.diag([gravity**2, *(usual.get(group_name(name), 0.0) ** 2 for name in names)])
-    places = 1 + np.flatnonzero([name in calibrated for name in names])
-    with_gravity[np.ix_(places, places)] = calibration.covariance_of([names[i - 1] for i in places])
+    covariance = np.diag([gravity**2, *(sizes.get(group_name(name), 0.0) ** 2 for name in names)])
+    indices = 1 + np.flatnonzero([name in calibrated for name in names])
+    covariance[np.ix_(indices, indices)] = calibration.covariance_of([names[i - 1] for i in indices])
     if shared_gravity(calibration.provenance.site, observations.site):
-        change = by_gravity(calibration.parameters, calibration.covariance, calibration.provenance.site)
+        change = gravity_sensitivity(calibration.parameters, calibration.covariance, calibration.provenance.site)
         by_name = dict(zip(calibration, change.tolist(), strict=True))
-        with_gravity[0, 1:] = with_gravity[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
+        covariance[0, 1:] = covariance[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
 
     # at the temperature of the check
-    now, J = references_of(observations), np.eye(len(with_gravity))
-    if calibration.reference_temperature is not None and now:
-        J[1:, 1:] = to_references(calibration, names, replace(calibration.temperature, references=now))
+    references, J = sensor_temperatures(observations), np.eye(len(covariance))
+    if calibration.reference_temperature is not None and references:
+        J[1:, 1:] = to_references(calibration, names, replace(calibration.temperature, references=references))
     # s² and 1/ν_s of another power-on, Eq. (2)
     single = len(calibration.evidence.launches) < 2 and not calibration.evidence.together
     others = _launches(calibration, launches)
-    turned_on, inverse_degrees = np.zeros((2, len(with_gravity)))
+    turned_on, inverse_degrees = np.zeros((2, len(covariance)))
     for i, name in enumerate(linear, 1):
-        known = [(each.degrees, each.variances[name][0]) for each in others if name in each.variances]
-        degrees = sum(count for count, _ in known)
-        between = sum(count * variance for count, variance in known) / max(degrees, 1)
-        both = USUAL_DEGREES + degrees
-        pooled = (USUAL_DEGREES * spread_of(TURN_ON[grade], name) ** 2 + degrees * between) / both
+        variances = [(each.degrees, each.variances[name]) for each in others if name in each.variances]
+        degrees = sum(count for count, _ in variances)
+        between = sum(count * variance for count, variance in variances) / max(degrees, 1)
+        total = GRADE_DEGREES + degrees
+        pooled = (GRADE_DEGREES * spread_of(TURN_ON[grade], name) ** 2 + degrees * between) / total
         turned_on[i] = max(between, pooled) * (2.0 if single else 1.0)
-        inverse_degrees[i] = 0.0 if not degrees else 1.0 / (degrees if between > pooled else both)
+        inverse_degrees[i] = 0.0 if not degrees else 1.0 / (degrees if between > pooled else total)
 
     inverse = {p.name: 1.0 / p.dof for p in calibration.parameters if p.dof is not None}
     fits = calibration.evidence.fits
@@ -384,7 +379,7 @@ def prior_at_check(
     return CheckPrior(
         instrument=instrument,
         values=J[1:, 1:] @ values,
-        calibrated=J @ with_gravity @ J.T,
+        calibrated=J @ covariance @ J.T,
         turned_on=turned_on,
         inverse_degrees=np.array([0.0, *(inverse.get(name, 0.0) for name in names)]),
         turned_on_inverse_degrees=inverse_degrees,

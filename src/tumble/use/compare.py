@@ -5,14 +5,13 @@ The difference d = second − first of a parameter has
     u(d)² = u₁² + u₂² − 2 Σ g₁ g₂,    U(d) = t₉₅.₄₅(ν) u(d),    E_n = d / U(d)
 
 (ISO/IEC 17043, annex B, with ν of Welch and Satterthwaite in place of k = 2: `tumble.result.coverage`). g₁ and g₂ are
-the changes of the parameter in both by one standard uncertainty of an error that the calibrations have in common: that
-of gravity, of the time base, and of what only priors say of the device (`tumble.result.shared_errors`). All m
-parameters agree if chance makes the largest |E_n| of m as large with a probability of at least CHANCE (Bonferroni's
-inequality, Student's t).
+the changes of the parameter in the two calibrations by one standard uncertainty of an error that both share: that of
+gravity, of the time base, or of a prior (`tumble.result.shared_errors`). All m parameters agree if chance makes the
+largest |E_n| of m as large with a probability of at least CHANCE (Bonferroni's inequality, Student's t).
 
-All m together, correlations included, are tested with χ² = dᵀ C⁻¹ d, C = C₁ + C₂ − Σ (g₁g₂ᵀ + g₂g₁ᵀ), without those
-of which neither has learned anything. If uncertainties were estimated, with ν the fewest degrees of freedom, χ²/m has
-the F distribution with m and ν degrees of freedom (Hotelling).
+All m together, correlations included, are tested with χ² = dᵀ C⁻¹ d, C = C₁ + C₂ − Σ (g₁g₂ᵀ + g₂g₁ᵀ), without
+parameters that neither calibration has learned. If uncertainties were estimated, with ν the fewest degrees of freedom,
+χ²/m has the F distribution with m and ν degrees of freedom (Hotelling).
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from tumble.brief import Judged
 from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.result.calibration import Calibration, calibration_from
-from tumble.result.coverage import UNLEARNED, apart, expanded_of, welch_satterthwaite
+from tumble.result.coverage import UNLEARNED, expanded_of, unshared_variance, welch_satterthwaite
 from tumble.result.further import remarks as remarks_of
 from tumble.result.parts import Estimated
 from tumble.result.shared_errors import shared_errors
@@ -44,9 +43,10 @@ LEAST_PROBABILITY = 1e-3
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Difference:
-    """A parameter in both calibrations, SI, with the standard uncertainty of the difference, without errors in common,
-    and its degrees of freedom, None if infinite. u is None if one of the two has no uncertainty, and zero if both have
-    no more than the prior."""
+    """A parameter in both calibrations, SI, with the standard uncertainty `u` of the difference.
+
+    Shared errors are not in u. It is None if one of the two has no uncertainty, and zero if both have no more than the
+    prior. `dof` are its degrees of freedom, None if infinite."""
 
     json_fields: ClassVar[tuple[str, ...]] = ("name", "unit", "first", "second", "value", "u", "dof", "e_n")
 
@@ -59,12 +59,12 @@ class Difference:
 
     @classmethod
     def between(cls, first: Estimated, second: Estimated, g: Array, h: Array, **others: Any) -> Self:
-        """The difference of a parameter that errors in common change by `g` (k,) in the first and `h` (k,) in the
+        """Return the difference of a parameter that k shared errors change by `g` (k,) in the first and `h` (k,) in the
         second; `others` are the other fields."""
         parts: list[tuple[float, float | None]] = [
             (float(((g - h) ** 2).sum()), None),
-            apart(first.u, first.dof, g.tolist()),
-            apart(second.u, second.dof, h.tolist()),
+            unshared_variance(first.u, first.dof, g.tolist()),
+            unshared_variance(second.u, second.dof, h.tolist()),
         ]
         variance = sum(variance for variance, _ in parts)
         if variance < UNLEARNED * ((first.u or 0.0) ** 2 + (second.u or 0.0) ** 2):
@@ -80,12 +80,12 @@ class Difference:
 
     @property
     def expanded(self) -> float | None:
-        """U, SI; None without uncertainties."""
+        """Expanded uncertainty U, SI; None without uncertainties."""
         return None if self.u is None else expanded_of(self.u, self.dof)
 
     @property
     def e_n(self) -> float | None:
-        """The E_n number, above 1 where the two contradict each other; None without uncertainties that have one."""
+        """E_n number, above 1 where the two contradict each other; None without an expanded uncertainty."""
         return self.value / self.expanded if self.expanded else None
 
     @property
@@ -98,9 +98,10 @@ class Difference:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Comparison(Judged):
-    """Differences of two calibrations in one frame, with their covariance (m, m); χ² of all of them, its degrees of
-    freedom, and the probability that chance exceeds it, None without covariances; the parameters that only one of them
-    has; and remarks."""
+    """Differences of two calibrations in one frame, with their covariance (m, m).
+
+    `chi_square` of all differences has `degrees` of freedom and is exceeded by chance with `probability`; these are
+    None without covariances. `missing` are the parameters that only one calibration has."""
 
     json_fields: ClassVar = (
         *("verdict", "reasons", "frame", "differences", "covariance", "chi_square", "degrees", "probability"),
@@ -123,7 +124,7 @@ class Comparison(Judged):
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why they do not agree."""
+        """Why the calibrations do not agree."""
         return () if self.agree else ("by more than chance and their uncertainties make",)
 
     @property
@@ -185,7 +186,7 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
             "none in both; compare devices of one kind"
         )
     sources = shared_errors(a, b)
-    shared = []  # what one standard uncertainty of each error that both share changes in the parameters, (m, k)
+    shared = []  # changes (m, k) of the parameters by one standard uncertainty of each of k shared errors
     for k, calibration in enumerate((a, b)):
         order, changes = list(calibration), [np.zeros((len(calibration), 0)), *(each[k] for each in sources.values())]
         shared.append(np.concatenate(changes, axis=1)[[order.index(name) for name in common]])
@@ -220,8 +221,9 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
 def _chi_square(
     differences: Array, covariance: Array | None, fewest: float | None
 ) -> tuple[float, int, float] | tuple[None, None, None]:
-    """dᵀ C⁻¹ d, the rank of C, and the probability that chance exceeds it, where C is exact (None) or estimated with
-    the `fewest` degrees of freedom."""
+    """Return dᵀ C⁻¹ d, the rank of C, and the probability that chance exceeds it.
+
+    C was estimated with the `fewest` degrees of freedom, or is exact if None."""
     if covariance is None or np.any(np.diag(covariance) <= 0.0):
         return None, None, None
     u = np.sqrt(np.diag(covariance))
@@ -234,7 +236,6 @@ def _chi_square(
 
 
 def _remarks(first: Calibration, second: Calibration, frame: str) -> Iterator[str]:
-    """Remarks on the two calibrations."""
     if first.serial != second.serial:
         yield f"different devices: {first.serial} and {second.serial}"
     for which, calibration in (("first", first), ("second", second)):

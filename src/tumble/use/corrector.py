@@ -1,12 +1,13 @@
 """Correction of a stream of readings with the whole model of a calibration, sample by sample or in blocks.
 
-Each sample is corrected at the temperature of its sensors, which follow the thermometer with the calibration's lags.
-If accelerometers have lever arms and the rate is read, their specific force is transferred to the last one,
+Each sample is corrected at the temperature of its sensors, which follow the thermometer with the lags of the
+calibration. If accelerometers have lever arms and there are gyros, the specific force is transferred to the place of
+the last accelerometer,
 
     f = f_p − ω̇ × r − ω × (ω × r),     ω̇ᵢ = (ωᵢ₊₁ − ωᵢ₋₁) / (tᵢ₊₁ − tᵢ₋₁)
 
-so that a sample is corrected one sample later. If its neighbours are more than LONGEST_STEP usual intervals apart, or
-in the wrong order, ω̇ is unknown and the sample is not transferred. The delays of the accelerometers are not undone.
+so that a sample is corrected one sample later. If its neighbours are more than LONGEST_STEP intervals apart, or in the
+wrong order, ω̇ is unknown and the sample is not transferred. Delays of the accelerometers are not corrected.
 """
 
 from __future__ import annotations
@@ -29,25 +30,24 @@ from tumble.sensors.model import Block
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray
 
 LONGEST_STEP = 3.5
-"""Usual intervals between the neighbours of a sample, beyond which its angular acceleration is unknown."""
-LATEST = 1.0
-"""Time (s) by which a stamp is before the last one at least if the clock has started anew. A sample that is less late
+"""Largest distance of the neighbours of a sample, in intervals, from which its angular acceleration is taken."""
+CLOCK_RESTART = 1.0
+"""s. A stamp that is earlier than the last one by more shows that the clock has restarted; a sample that is less late
 is dropped."""
 MARGIN = 0.1
 """Relative margin of the calibrated rate and force, for noise and vibration."""
 _ROWS = 1 << 12
-"""Rows that are corrected at a time: intermediate results fit the cache of a core."""
+"""Rows corrected at a time: intermediate results fit the cache of a core."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Corrected(Brief):
-    """Corrected samples in the order in which they came, as views of memory that the next block overwrites: stamps
-    (N,), s, specific force (N, 3), m/s², and angular rate (N, 3), rad/s, None without gyros.
+    """Corrected samples, as views of memory that the next block overwrites.
 
-    `flags` (N,) are the sums of 1, 2 and 4 for a temperature, a rate and a force outside of the calibrated range.
-    `temperature` (N, T) is that of the sensors that follow each thermometer, K; where accelerometers and gyros have
-    other lags (N, 2 T), those of the accelerometers first.
-    """
+    `time` (N,) are stamps, s, `force` (N, 3) specific forces, m/s², and `rate` (N, 3) angular rates, rad/s, None
+    without gyros. `flags` (N,) are sums of 1, 2 and 4 for a temperature, a rate and a force outside the calibrated
+    range. `temperature` (N, T), K, is that of the sensors that follow each thermometer; if accelerometers and gyros
+    have different lags it is (N, 2 T), those of the accelerometers first."""
 
     time: Array
     force: Array
@@ -69,8 +69,9 @@ class Corrected(Brief):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Ranges:
-    """Calibrated ranges: lowest and highest `temperature`, °C, largest `rate`, rad/s, and `force`, m/s²; infinite where
-    they are not known."""
+    """Calibrated ranges: lowest and highest `temperature`, °C, largest `rate`, rad/s, and largest `force`, m/s².
+
+    A range that is not known is infinite."""
 
     temperature: tuple[float, float] = (-inf, inf)
     rate: float = inf
@@ -78,7 +79,7 @@ class Ranges:
 
     @staticmethod
     def of(calibration: Calibration) -> Ranges:
-        """Temperatures of the rests and, with MARGIN, the rate of the turns and gravity."""
+        """Return the temperatures of the rests and, with MARGIN, the rate of the turns and gravity."""
         prediction, site = calibration.prediction, calibration.provenance.site
         rate = inf if prediction is None or prediction.at_rate is None else (1.0 + MARGIN) * prediction.at_rate
         force = (1.0 + MARGIN) * (G_STANDARD if site is None else site.gravity)
@@ -86,12 +87,10 @@ class Ranges:
 
 
 class Stream:
-    """Corrects the rows of one stream.
+    """Correction of the rows of one stream with sampling `interval`, s, and the sensors `blocks`.
 
-    `interval` is that of samples, s, `blocks` are the sensors of the stream and `heat` its number of thermometers,
-    which read 0 °C as `zero`. Without `gyros` no rates are corrected. Samples outside of the `ranges` are flagged;
-    `latest` is LATEST, or 0 for stamps that are in order.
-    """
+    `thermometers` is the number of thermometers, which read `zero` at 0 °C. Without `gyros` no rates are corrected.
+    Samples outside the `ranges` are flagged. `latest` is CLOCK_RESTART, or 0 for stamps that are in order."""
 
     def __init__(
         self,
@@ -99,7 +98,7 @@ class Stream:
         interval: float,
         *,
         blocks: tuple[Block, Block | None],
-        heat: int,
+        thermometers: int,
         gyros: bool = True,
         ranges: Ranges | None = None,
         zero: float = 0.0,
@@ -107,39 +106,41 @@ class Stream:
     ) -> None:
         ranges = ranges or Ranges()
         self.gyros = gyros and blocks[1] is not None and compensator.gyro is not None
-        of_accel, of_gyro = (np.zeros(0, np.int64) if block is None else block.thermometer for block in blocks)
+        accel_thermometers, gyro_thermometers = (
+            np.zeros(0, np.int64) if block is None else block.thermometer for block in blocks
+        )
         lags = [compensator.lags.get(kind, 0.0) for kind in ("accel", "gyro")[: 1 + self.gyros]]
         lags = list(dict.fromkeys(lags)) if compensator.warm else [0.0]
         if len(lags) > 1:  # followers of each thermometer for accelerometers, and then for gyros
-            of_gyro = heat + of_gyro
+            gyro_thermometers = thermometers + gyro_thermometers
         self.moved = self.gyros and bool(np.any(compensator.levers))
         self.delay = int(self.moved)
         accel, rates = compensator.accelerometers, compensator.gyros if self.gyros else None
         n, m = len(accel.sheet), 0 if rates is None else len(rates.sheet)
         sheet = np.zeros((0, WIDTH)) if rates is None else rates.sheet
-        steps, feels = (1, False) if rates is None else (rates.steps, rates.feels)
-        self._sensors = accel.sheet, sheet, of_accel, of_gyro, accel.steps, steps, feels
+        steps, feels_force = (1, False) if rates is None else (rates.steps, rates.feels)
+        self._sensors = accel.sheet, sheet, accel_thermometers, gyro_thermometers, accel.steps, steps, feels_force
         limits = LONGEST_STEP * interval, ranges.rate**2, ranges.force**2
         self._settings = np.array([interval, *ranges.temperature, latest, zero, *limits, nan])
-        followers = len(lags) * heat
+        followers = len(lags) * thermometers
         self._start = np.zeros(followers)
-        for block, numbers in ((compensator.accel, of_accel), (compensator.gyro, of_gyro)):
+        for block, numbers in ((compensator.accel, accel_thermometers), (compensator.gyro, gyro_thermometers)):
             if block is not None and block.kind in compensator.references and len(numbers) == block.size:
                 self._start[numbers] = compensator.references[block.kind]
         self._state: tuple[Array, ...] = (
             np.zeros((2, 2 + 2 * n + m + followers + 9)),
-            np.column_stack([np.zeros((followers, 2)), np.repeat(lags, heat)]),
+            np.column_stack([np.zeros((followers, 2)), np.repeat(lags, thermometers)]),
             np.zeros(3),
             np.zeros((2, max(n, m))),
         )
-        self._nothing = np.zeros((0, n)), np.zeros((0, m)), np.zeros(0), np.zeros((0, heat))
+        self._nothing = np.zeros((0, n)), np.zeros((0, m)), np.zeros(0), np.zeros((0, thermometers))
         self._lost = self._nothing[3]
         self._out: tuple[Array, ...] = np.zeros((0, 2 + followers)), np.zeros((0, 3)), np.zeros((0, 3))
         self._view = self._views(0)
         self.reset()
 
     def reset(self) -> None:
-        """Begin another stream. The count of dropped samples stays."""
+        """Begin another stream; the count of dropped samples is kept."""
         self._held = 0
         _, warmth, clock, _ = self._state
         warmth[:, 0], warmth[:, 1], clock[:2] = self._start, nan, (-inf, 0.0)
@@ -150,8 +151,9 @@ class Stream:
         return int(self._state[2][2])
 
     def add(self, accel: Array, gyro: Array | None, time: Array | None, celsius: Array | None) -> Corrected:
-        """Add readings (N, n) and (N, m), stamps (N,), by default of a regular clock, and temperatures (N, T), not a
-        number where they are lost; return the samples that are corrected with them."""
+        """Add readings (N, n) and (N, m), SI, and return the samples that are corrected with them.
+
+        Stamps (N,) are by default those of a regular clock; temperatures (N, T) are NaN where they are lost."""
         count = len(accel)
         if count + 1 > len(self._out[0]):
             widths = (each.shape[1] for each in self._out)
@@ -172,16 +174,16 @@ class Stream:
         return self._corrected(ready)
 
     def finish(self) -> Corrected:
-        """Return the last sample, if one waits; the next one begins another stream."""
+        """Return the last sample if it waits for the next; another stream begins."""
         ready = self._advance(self._nothing, 0, last=True)
         self.reset()
         return self._corrected(ready)
 
-    def _advance(self, given: tuple[Array | None, ...], begun: int, *, last: bool = False) -> int:
-        """Correct more samples after `begun` ones of this call; return how many are ready."""
+    def _advance(self, pieces: tuple[Array | None, ...], done: int, *, last: bool = False) -> int:
+        """Correct more samples after the first `done` of this call; return how many are ready."""
         absent = (*self._nothing[:3], self._lost)
-        rows = tuple(other if each is None else each for each, other in zip(given, absent, strict=True))
-        out = self._out if not begun else tuple(each[begun:] for each in self._out)
+        rows = tuple(other if each is None else each for each, other in zip(pieces, absent, strict=True))
+        out = self._out if not done else tuple(each[done:] for each in self._out)
         ready, self._held = advance(
             rows, self._sensors, self._settings, self._state, self._held, out, moved=self.moved, last=last
         )
@@ -200,9 +202,9 @@ class Stream:
 
 
 class Corrector:
-    """Corrects the readings of a device as they come, with the whole model of its calibration.
+    """Correction of the readings of a device as they come, with the whole model of its calibration.
 
-    However the stream is cut into blocks, the results are those of `apply_to_session` for the whole log.
+    For any division of the stream into blocks the results are those of `apply_to_session` for the whole log.
 
     Parameters
     ----------
@@ -222,7 +224,7 @@ class Corrector:
     Notes
     -----
     A sample whose stamp is not after the last one is dropped, and counted in `dropped`. If it is earlier by more than
-    LATEST (1 s), the clock has started anew, which is a gap. Across a gap ω̇ is unknown.
+    CLOCK_RESTART (1 s), the clock has restarted, which is a gap. Across a gap ω̇ is unknown.
 
     Examples
     --------
@@ -259,15 +261,15 @@ class Corrector:
             compensator,
             1.0 / rate,
             blocks=blocks,
-            heat=self.thermometers,
+            thermometers=self.thermometers,
             ranges=self.ranges,
             zero=ZERO_CELSIUS,
-            latest=LATEST,
+            latest=CLOCK_RESTART,
         )
 
     @property
     def delay(self) -> int:
-        """Number of samples by which a corrected one is late: 1 with lever arms, else 0."""
+        """Number of samples by which the output lags behind the input: 1 with lever arms, else 0."""
         return self._stream.delay
 
     @property
@@ -276,7 +278,7 @@ class Corrector:
         return self._stream.dropped
 
     def reset(self) -> None:
-        """Begin another stream, whose sensors are as warm as the thermometer."""
+        """Begin another stream, with the sensors at the temperature of the thermometer."""
         self._stream.reset()
 
     def add(
@@ -287,7 +289,7 @@ class Corrector:
         time: npt.ArrayLike | None = None,
         temperature: npt.ArrayLike | None = None,
     ) -> Corrected:
-        """Add one sample, (n,), or a block of them, (N, n), and return those that are corrected with it.
+        """Add one sample, (n,), or a block, (N, n), and return the samples that are corrected with it.
 
         Parameters
         ----------
@@ -298,7 +300,7 @@ class Corrector:
             Stamps, s, one for each sample. By default those of a regular clock.
         temperature
             Temperature, K, one for each sample, or those of several thermometers (T,) or (N, T) in the order of the
-            calibration's `thermometers`. If it is absent or not a number, the last one known is used, or the reference.
+            calibration's `thermometers`. Where it is absent or NaN the last known one is used, or else the reference.
 
         Returns
         -------
@@ -332,7 +334,7 @@ class Corrector:
         return self._without_absent(corrected)
 
     def finish(self) -> Corrected:
-        """Return the last sample, if it waits for the next, with ω̇ from the one before; another stream begins."""
+        """Return the last sample if it waits for the next, with ω̇ from the one before; another stream begins."""
         return self._without_absent(self._stream.finish())
 
     def _without_absent(self, corrected: Corrected) -> Corrected:
@@ -341,14 +343,13 @@ class Corrector:
         return corrected
 
     @staticmethod
-    def _rows(kind: str, given: npt.ArrayLike | None, sensors: int) -> Array:
-        """Readings (N, n)."""
-        readings = np.asarray(given, dtype=float)
+    def _rows(kind: str, readings_or_none: npt.ArrayLike | None, sensors: int) -> Array:
+        readings = np.asarray(readings_or_none, dtype=float)
         if readings.ndim == 1:
             readings = readings[None]
         if readings.ndim != 2 or readings.shape[1] != sensors:
             raise InputError(
                 f"{kind} readings: expected {sensors} numbers a sample, one for each sensor of the calibration, found "
-                f"{'none' if given is None else f'an array of shape {np.shape(given)}'}"
+                f"{'none' if readings_or_none is None else f'an array of shape {np.shape(readings_or_none)}'}"
             )
         return readings

@@ -1,9 +1,9 @@
-"""A calibration checked while its device is used: every rest of a flight or a day, as it ends.
+"""Check of a calibration while its device is used: every rest of a flight or a day, as it ends.
 
 The readings are reduced to rests by `RestStream`, at the temperatures of the sensors, which follow their thermometers
 with the lag of the calibration (`Stream`). Each rest, of unknown attitude, is tested against the calibration and the
-rests before it (`tumble.methods.rest_chain`). If nothing rests, as in flight, the movement passes for noise: what is
-noisier than SHAKEN times the rests of the calibration is no rest.
+rests before it (`tumble.methods.rest_chain`). Where nothing rests, as in flight, movement is mistaken for noise: a
+stretch that is noisier than MOVEMENT_NOISE_RATIO times the rests of the calibration is not used.
 """
 
 from __future__ import annotations
@@ -30,16 +30,23 @@ from tumble.reduction.rest_stream import RestStream
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.rotation import unit_vector
 from tumble.run.calibrate import grade_of
-from tumble.run.from_estimate import reference_of
+from tumble.run.from_estimate import mean_temperature
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import ZERO_CELSIUS, Array
-from tumble.use.check import CheckedRest, FieldCheck, accepted_for_check, check_session, prior_at_check, tested
-from tumble.use.corrector import LATEST, Ranges, Stream
+from tumble.use.check import (
+    CheckedRest,
+    FieldCheck,
+    accepted_for_check,
+    check_session,
+    parameter_test_fields,
+    prior_at_check,
+)
+from tumble.use.corrector import CLOCK_RESTART, Ranges, Stream
 
-SHAKEN = 10.0
-"""Times the noise of the calibration's rests: more is movement."""
-INTERRUPTED = 2.0
-"""Time (s) without a sample after which the device may have been moved."""
+MOVEMENT_NOISE_RATIO = 10.0
+"""Ratio to the noise of the calibration's rests above which a quiet stretch counts as movement."""
+LONGEST_PAUSE = 2.0
+"""s without a sample after which the device may have been moved."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -54,13 +61,11 @@ Event: TypeAlias = CheckedRest | Notice
 
 
 class StreamCheck:
-    """Checks an accepted calibration, or its file, with a stream of readings, of which a session, or its folder, has
-    columns, sensors and site: `rests` are those so far, with quiet stretches that are not used, and `moved` the biases
-    that have changed during the stream.
+    """Check of an accepted calibration with a stream whose columns, sensors and site a session describes.
 
-    Raises CalibrationError for a calibration that is not accepted, has no uncertainties, or is in the frame of the
-    case, and InputError for a session of another device or of other sensors.
-    """
+    `rests` are the rests so far, with quiet stretches that are not used; `moved` are the biases that have changed
+    during the stream. Raises CalibrationError for a calibration that is not accepted, has no uncertainties, or is in
+    the frame of the case, and InputError for a session of another device or of other sensors."""
 
     def __init__(self, calibration: Calibration | FilePath, session: Session | FilePath, *, sample_rate: float) -> None:
         accepted, session = accepted_for_check(calibration), session_from(session)
@@ -72,16 +77,16 @@ class StreamCheck:
         self.rests, self.moved = list[CheckedRest](), tuple[MovedBias, ...]()
         self._gyro = None if accepted.gyro is None else session.gyro_block
         self._white, self._ranges = _white_noise(accepted), Ranges.of(accepted)
-        heat = 1 if session.log.temperature is None else len(session.log.temperature.columns)
+        thermometers = 1 if session.log.temperature is None else len(session.log.temperature.columns)
         self._stream = Stream(
             self.calibration.compensator,
             1.0 / sample_rate,
             blocks=(session.accel_block, self._gyro),
             gyros=False,
-            heat=heat,
+            thermometers=thermometers,
             ranges=self._ranges,
             zero=ZERO_CELSIUS,
-            latest=LATEST,
+            latest=CLOCK_RESTART,
         )
         self._chain: RestChain | None = None
         self._grade = self._guessed_from = ""
@@ -100,25 +105,25 @@ class StreamCheck:
         )
 
     def feed(self, chunk: Chunk) -> list[Event]:
-        """Add samples; returns the rests that have ended, and notices, in the order of time."""
+        """Add samples; return the rests that have ended, and notices, in the order of time."""
         events, dt = list[Event](), 1.0 / self.rate
-        cuts = (np.flatnonzero(np.diff(chunk.time) - dt > INTERRUPTED) + 1).tolist()
+        cuts = (np.flatnonzero(np.diff(chunk.time) - dt > LONGEST_PAUSE) + 1).tolist()
         for begin, end in pairwise([0, *cuts, len(chunk.time)]):
             if end > begin:
                 events += self._continuous(chunk.part(slice(begin, end)), dt)
         return events
 
     def _continuous(self, chunk: Chunk, dt: float) -> list[Event]:
-        """The same of samples without an interruption among them."""
+        """Add samples without an interruption among them."""
         events, first = list[Event](), float(chunk.time[0])
         if self._last is not None:
             file, last = self._last
-            anew = first < last - LATEST or (chunk.file != file and first <= last)
-            if anew or first - dt - last > INTERRUPTED:
+            restarted = first < last - CLOCK_RESTART or (chunk.file != file and first <= last)
+            if restarted or first - dt - last > LONGEST_PAUSE:
                 events += self.finish()
                 self._begin()
                 text = f"nothing came for {first - last:.1f} s; the check goes on"
-                if anew:
+                if restarted:
                     self._stream.reset()
                     self._restarted, text = True, "the clock begins anew: taken for another power-on"
                 events.append(Notice(time=first, text=text))
@@ -138,11 +143,11 @@ class StreamCheck:
         return [*events, *map(self._checked, self._finder.feed(piece))]
 
     def finish(self) -> list[Event]:
-        """The last rest, at the end of the stream."""
+        """Return the last rest, at the end of the stream."""
         return [self._checked(rest) for rest in self._finder.finish()]
 
     def _checked(self, observations: Observations) -> CheckedRest:
-        """The only rest of its observations, tested by the chain of those before."""
+        """Test the only rest of the observations against the calibration and the rests before."""
         rests, block = observations.rests, observations.accel_block
         start, stop = float(rests.start[0]), float(rests.stop[0])
         kelvin = rests.temperatures
@@ -158,13 +163,13 @@ class StreamCheck:
             difference=self.session.site.gravity - size,
             start=start,
             stop=stop,
-            celsius=reference_of(observations),
-            outside=tuple(name for name, beyond in outside.items() if beyond),
+            celsius=mean_temperature(observations),
+            outside=tuple(name for name, is_outside in outside.items() if is_outside),
         )
         noise = {"accel": rests.accel_noise[0], "gyro": rests.gyro_noise[0]}
         for kind, white in self._white.items():
             times = float(np.max(noise[kind] / white)) if len(noise[kind]) else 0.0
-            if times > SHAKEN and not rest.why:
+            if times > MOVEMENT_NOISE_RATIO and not rest.why:
                 rest = replace(rest, why=f"{kind} {times:.0f} times as noisy as in the rests of the calibration")
         if not rest.why:
             rest = self._judged(rest, observations, force)
@@ -174,27 +179,27 @@ class StreamCheck:
     def _judged(self, rest: CheckedRest, observations: Observations, force: Array) -> CheckedRest:
         if not self._grade:
             self._grade, self._guessed_from = grade_of(self.session, observations)
-        sheet = self.session.device.prior
-        prior = prior_at_check(self.calibration, observations, self._grade, sheet)
+        data_sheet = self.session.device.prior
+        prior = prior_at_check(self.calibration, observations, self._grade, data_sheet)
         if self._chain is None:
-            self._chain = RestChain(prior, usual_sizes(self._grade, sheet))
+            self._chain = RestChain(prior, usual_sizes(self._grade, data_sheet))
         judged = self._chain.add(observations, prior, apart=np.inf if self._restarted else None)
         self._restarted = False
         self.moved += judged.moved
         rest = replace(rest, label=f"rest {self._chain.rests} ({rest.start:z.1f}–{rest.stop:z.1f} s)", judged=judged)
-        # of the accelerometers, the one that the prediction has along the vertical best
-        along = [(test.u, name) for name, test in judged.tests.items() if name.startswith("accel")]
-        if not along:
+        tests = [(test.u, name) for name, test in judged.tests.items() if name.startswith("accel")]
+        if not tests:
             return rest
-        u, name = min(along)
+        u, name = min(tests)  # the accelerometer along the vertical, which is predicted best
         axis = self._chain.instrument.accel.axes[self._chain.instrument.names.index(name)]
         upward = float(axis @ unit_vector(force))
         sigmas = judged.tests[name].sigmas * float(np.sign(upward))
         return replace(rest, u=u * abs(upward), sigmas=-sigmas)
 
     def result(self) -> FieldCheck:
-        """All rests so far as one check, with the biases that have moved among its changes. Raises InputError if there
-        was no rest."""
+        """Return all rests so far as one check, with the biases that have moved among its changes.
+
+        Raises InputError if there was no rest."""
         if self._chain is None:
             raise InputError(f"{self.session.name}: expected rests to check with, found none")
         origin = f", guessed from {self._guessed_from}; [device] grade states another" if self._guessed_from else ""
@@ -202,13 +207,13 @@ class StreamCheck:
         return FieldCheck(
             source=self.session.name,
             rests=tuple(self.rests),
-            **tested(self._chain.result(self.moved)),
+            **parameter_test_fields(self._chain.result(self.moved)),
             notes=(*self.calibration.provenance.absent, note),
         )
 
 
 def _white_noise(calibration: Calibration) -> dict[str, Array]:
-    """Density (n,) of the white noise of "accel" and "gyro" in the rests of a calibration, unit/√Hz."""
+    """Return the white noise density (n,) of "accel" and "gyro" in the rests of a calibration, SI/√Hz."""
     by_kind = {
         kind: [sensors.noise for rest in calibration.evidence.rests if (sensors := getattr(rest, kind)) is not None]
         for kind in ("accel", "gyro")
@@ -247,7 +252,7 @@ def check_stream(
     Raises
     ------
     InputError
-        For a source that cannot be opened or sends no samples, for samples of other sensors, and without rests.
+        If the source cannot be opened, sends no samples or those of other sensors, or nothing rests.
 
     Examples
     --------

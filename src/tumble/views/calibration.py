@@ -19,16 +19,16 @@ from tumble.diagnosis.verdict import gravity_text
 from tumble.files import FilePath
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import without_expanded
+from tumble.result.coverage import notes_without_expanded
 from tumble.result.further import (
     accepted_groups,
     by_group,
     decided_by_priors,
     group_lines,
+    has_other_factors,
     linear_parameters,
-    other_factors,
-    predicted,
-    rests_said,
+    prediction_text,
+    rest_summary,
     verdicts,
 )
 from tumble.result.parts import Parameter
@@ -150,12 +150,12 @@ def calibration_blocks(
             from tumble.views.report.recording import recordings, tables_of
 
             blocks += [shown for shown in tables_of(recordings(calibration)[0]) if shown]
-        lines += [] if calibration.prediction is None else [predicted(calibration.prediction)]
-        lines += [rests_said(evidence)] if evidence.rests and not several else []
+        lines += [] if calibration.prediction is None else [prediction_text(calibration.prediction)]
+        lines += [rest_summary(evidence)] if evidence.rests and not several else []
         lines += [f"remark: {remark}" for remark in remarks_of(calibration)]
         site = calibration.provenance.site
         lines += [gravity_text(site)] if site is not None and not site.gravity_is_unit else []
-        return [*blocks, Items(items=(*lines, *without_expanded(parameters), *calibration.provenance.notes))]
+        return [*blocks, Items(items=(*lines, *notes_without_expanded(parameters), *calibration.provenance.notes))]
     units, spreads = shown_units(parameters), list[str]()
     for name, members in by_group(parameters).items() if several else ():
         size, unit = units[members[0].name]
@@ -168,7 +168,7 @@ def calibration_blocks(
     for other in others:
         changes = {p.name: other[p.name].value - p.value for p in calibration.parameters if p.name in other}
         lines.append(f"{other.method} differs from {calibration.method} by {_largest_change(calibration, changes)}")
-    lines += without_expanded(parameters)
+    lines += notes_without_expanded(parameters)
     if accepted_kinds(calibration):
         following = f"next: tumble export {shlex.quote(str(file))} --to json -o imu.json (others: --help)"
     else:
@@ -225,7 +225,7 @@ def parameter_table(
     and between launches; with `truth` also true values and (value − truth)/u.
 
     With `whole` it has U, degrees of freedom, priors and learned fractions."""
-    several, factors = bool(calibration.evidence.launches), other_factors(parameters)
+    several, factors = bool(calibration.evidence.launches), has_other_factors(parameters)
     passport, priors = (any(getattr(p, name) is not None for p in parameters) for name in ("deviation", "prior"))
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:

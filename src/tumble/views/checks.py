@@ -58,8 +58,7 @@ def check_blocks(check: FieldCheck, *, rests: bool = True) -> list[Block]:
 
     Without `rests` for a stream, whose rests were shown one by one."""
     turns = f" and {check.turns} turns" if check.turns else ""
-    left_out = ", each of the calibration's own left out in turn" if check.left_out else ""
-    blocks: list[Block] = [f"{sum(not rest.why for rest in check.rests)} rests{turns}{left_out}"]
+    blocks: list[Block] = [f"{sum(not rest.why for rest in check.rests)} rests{turns}"]
     compared = [rest for rest in check.rests if rest.u is not None and math.isfinite(rest.u)]
     if rests and compared:
         blocks += [_rest_table(check.rests), _rest_summary(compared, check.rest_limit)]

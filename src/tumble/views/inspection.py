@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tumble.reduction.observations import Observations
-from tumble.run.gyros_alone import MORE, GyroRests
+from tumble.run.gyros_alone import WHAT_TO_RECORD, GyroRests
 from tumble.run.observed import Observed
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
 from tumble.views.blocks import Block, Items, Table, table
@@ -59,7 +59,7 @@ def gyro_blocks(found: GyroRests) -> list[Block]:
     return [
         "gyros alone: the rests are those by their level" + (f"{unknown}numbers are no °/s" if unknown else ""),
         table(rows),
-        f"for biases: tumble calibrate; for noise: tumble noise; for scale factors and axes {MORE}",
+        f"for biases: tumble calibrate; for noise: tumble noise; for scale factors and axes {WHAT_TO_RECORD}",
     ]
 
 

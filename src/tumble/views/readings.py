@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tumble.methods.ellipsoid_fit import EllipsoidFit
-from tumble.result.further import group_lines, linear_parameters, predicted
+from tumble.result.further import group_lines, linear_parameters, prediction_text
 from tumble.run.from_readings import ReadingsCalibration, paper_form
 from tumble.units import engineering
 from tumble.views.blocks import Block, Items, Table, table
@@ -40,7 +40,7 @@ def readings_blocks(result: ReadingsCalibration) -> list[Block]:
     elif calibration.parameters:
         blocks.append(parameter_table(calibration, linear_parameters(calibration.parameters)))
     if calibration.prediction is not None:
-        lines.append(predicted(calibration.prediction))
+        lines.append(prediction_text(calibration.prediction))
     return [*blocks, Items(items=(*lines, *calibration.provenance.notes))]
 
 

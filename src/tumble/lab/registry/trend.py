@@ -42,8 +42,8 @@ from tumble.lab.limits import Limits
 from tumble.lab.registry.records import Record, State
 from tumble.methods.least_squares import fit_scatter
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import apart, by_gravity
-from tumble.result.shared_errors import by_priors, of_time_base
+from tumble.result.coverage import gravity_sensitivity, unshared_variance
+from tumble.result.shared_errors import prior_sensitivities, time_base_sensitivity
 from tumble.units import Array
 from tumble.use.compare import Comparison, Difference, compare_calibrations
 
@@ -185,12 +185,12 @@ def _shareable_errors(calibration: Calibration) -> dict[Hashable, Array]:
     """Return the changes (m,) of the parameters by one standard uncertainty of the stated gravity, of the time base and
     of each prior, which another calibration of the device may share."""
     parameters, covariance, site = calibration.parameters, calibration.covariance, calibration.provenance.site
-    changes = by_priors(parameters, covariance, calibration.evidence.budget)
+    changes = prior_sensitivities(parameters, covariance, calibration.evidence.budget)
     sources: dict[Hashable, Array] = {("prior", name): g for name, g in changes.items()}
     if site is not None and site.gravity_u > 0.0:
-        sources["gravity", site.gravity, site.gravity_u] = by_gravity(parameters, covariance, site)
+        sources["gravity", site.gravity, site.gravity_u] = gravity_sensitivity(parameters, covariance, site)
     if calibration.provenance.clock_u > 0.0:
-        sources["time base", calibration.provenance.clock_u] = of_time_base(calibration)
+        sources["time base", calibration.provenance.clock_u] = time_base_sensitivity(calibration)
     return sources
 
 
@@ -246,8 +246,10 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
         return None, None
     shared = _shared(points)
     common = ((shared - shared.mean(axis=0)) ** 2).sum(axis=1)
-    variance = np.array([apart(p.u, None, g)[0] for p, g in zip(points, shared, strict=True)]) + common
-    launch_variances = [[apart(u, None, g)[0] for _, u in p.launches] for p, g in zip(points, shared, strict=True)]
+    variance = np.array([unshared_variance(p.u, None, g)[0] for p, g in zip(points, shared, strict=True)]) + common
+    launch_variances = [
+        [unshared_variance(u, None, g)[0] for _, u in p.launches] for p, g in zip(points, shared, strict=True)
+    ]
     within = np.concatenate([np.zeros(0), *launch_variances])
     squares = np.array([(y - np.mean([x for x, _ in p.launches])) ** 2 for p in points for y, _ in p.launches])
     if not variance.all() or not within.all():

@@ -1,1 +1,1 @@
-"""Rows of numbers as they are received: files that grow, standard input, network, and serial lines."""
+"""Rows of numbers as they are received: files that grow, standard input, network, serial lines and MAVLink."""

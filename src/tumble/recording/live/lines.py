@@ -1,13 +1,15 @@
 """Lines as they are received, and the rows of a log in them.
 
-A row is a line of numbers between commas, or an object of JSON with the names of the columns. Any other line is refused
-with a reason: bytes that are no text, half lines, too few values.
+A row is a line of numbers between commas, an object of JSON with the names of the columns, or a `Raw:` line of
+MotionCal, nine integers without a time. Any other line is refused with a reason: bytes that are no text, half lines,
+too few values.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,6 +18,9 @@ import numpy as np
 from tumble.units import Array
 
 LONGEST_LINE = 1 << 14  # bytes
+MOTIONCAL = "Raw:"
+MOTIONCAL_COLUMNS = ("t", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
+_MAGNETIC_COUNTS = 10.0  # per µT, as MotionCal sends them
 _NUMERIC_BYTES = np.isin(np.arange(256), np.frombuffer(b"0123456789.,+-eE\n", dtype=np.uint8))
 
 
@@ -31,10 +36,17 @@ class Lines:
     """Parser of received bytes into rows with the columns `columns`, of which `clock` is the time.
 
     Values are in the order of the log until a header states another one. `refused` counts the refused lines, which are
-    passed to `refuse`; `last_refused` is the reason for the last one."""
+    passed to `refuse`; `last_refused` is the reason for the last one. `now` gives the time of a line of MotionCal."""
 
-    def __init__(self, *, columns: tuple[str, ...], clock: str | None, refuse: Callable[[bytes], None]) -> None:
-        self.columns, self.clock = columns, clock
+    def __init__(
+        self,
+        *,
+        columns: tuple[str, ...],
+        clock: str | None,
+        refuse: Callable[[bytes], None],
+        now: Callable[[], float] = time.time,
+    ) -> None:
+        self.columns, self.clock, self._now = columns, clock, now
         self.refused, self.last_refused = 0, ""
         self._keep = refuse
         self._unfinished = b""
@@ -91,6 +103,15 @@ class Lines:
                 raise ValueError("bytes that are no text") from None
             except (ValueError, TypeError, KeyError, RecursionError, OverflowError):
                 raise ValueError("JSON without a number for every column") from None
+        elif line.startswith(MOTIONCAL.encode()):
+            try:
+                counts = [int(value) for value in line.removeprefix(MOTIONCAL.encode()).split(b",")]
+            except ValueError:
+                counts = []
+            if self.columns != MOTIONCAL_COLUMNS or len(counts) != len(MOTIONCAL_COLUMNS) - 1:
+                raise ValueError("a line of MotionCal that is not nine numbers")
+            field = [repr(count / _MAGNETIC_COUNTS) for count in counts[6:]]
+            cells = [repr(self._now()), *map(str, counts[:6]), *field]
         else:
             values = [value.strip() for value in line.decode("utf-8", errors="replace").split(",")]
             names = [value.lstrip("\ufeff") for value in values]
@@ -108,10 +129,10 @@ class Lines:
             numbers = [float(value) for value in cells]
         except ValueError:
             raise ValueError("a value that is no number") from None
-        time = None if self.clock is None else numbers[self.columns.index(self.clock)]
-        if any(map(math.isinf, numbers)) or (time is not None and math.isnan(time)):
+        stamp = None if self.clock is None else numbers[self.columns.index(self.clock)]
+        if any(map(math.isinf, numbers)) or (stamp is not None and math.isnan(stamp)):
             raise ValueError("a number that is not finite")
-        return Row(text=",".join(cells), time=time)
+        return Row(text=",".join(cells), time=stamp)
 
 
 def numbers_in(data: bytes, columns: int) -> Array | None:

@@ -1,8 +1,13 @@
 """Sources of rows, as named after --listen, which give the bytes of lines:
 
     file:PATH   replay:FOLDER@20x   stdin   udp:[HOST:]PORT   tcp:[HOST:]PORT   serial:DEVICE:BAUD
+    mavlink:udp:[HOST:]PORT   mavlink:DEVICE:BAUD
 
 An interrupted source states the reason in `trouble` and tries again; only a replay and standard input come to an end.
+
+Of the IMU messages of an autopilot (MAVLink), the first kind in the order of `MESSAGES` that arrives within a second is
+used. Its numbers are converted to SI as the messages define them. RAW_IMU defines no unit; that of SCALED_IMU, which
+ArduPilot and PX4 use for it, is taken.
 """
 
 from __future__ import annotations
@@ -24,12 +29,16 @@ from tumble.documents import whole_number
 from tumble.errors import InputError, needs_extra
 from tumble.recording.session import LogSpec, Session
 from tumble.recording.session_file import read_session
+from tumble.units import G_STANDARD
 
 _READ_BYTES = 1 << 16
 _RETRY_SECONDS = 0.5
 _SILENT_SECONDS = 2.0  # after which a TCP connection gives way to the next
 _SOCKET_BYTES = 1 << 22
 LOOPBACK = "127.0.0.1"
+MESSAGES = ("HIGHRES_IMU", "SCALED_IMU", "RAW_IMU", "SCALED_IMU2", "SCALED_IMU3")
+_CHOOSE_SECONDS = 1.0
+_MILLI = 1e-3  # SCALED_IMU has mg and mrad/s
 
 
 class Ended(Exception):  # noqa: N818
@@ -225,6 +234,57 @@ class Serial(LineSource):
         self._port.close()
 
 
+class Mavlink(LineSource):
+    """The IMU of an autopilot by MAVLink, on a UDP port or a serial line, as lines of SI_LOG."""
+
+    def __init__(self, where: str) -> None:
+        with needs_extra("MAVLink", "formats", "pymavlink"):
+            from pymavlink import mavutil
+        self.name = f"mavlink:{where}"
+        kind, _, rest = where.partition(":")
+        host, _, port = rest.rpartition(":")
+        device, _, baud = where.rpartition(":")
+        try:
+            if kind == "udp":
+                self._link: Any = mavutil.mavlink_connection(f"udpin:{host or LOOPBACK}:{port}")
+            else:
+                self._link = mavutil.mavlink_connection(device, baud=int(baud))
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"--listen {self.name}: expected mavlink:udp:PORT or mavlink:DEVICE:BAUD: {error}"
+            ) from None
+        self._received: set[str] = set()
+        self._chosen: str | None = None
+        self._first = 0.0
+
+    def read(self, timeout: float) -> bytes:
+        out: list[str] = []
+        wait = timeout
+        while len(out) < 256 and (message := self._link.recv_match(type=list(MESSAGES), blocking=True, timeout=wait)):
+            wait, kind = 0.001, message.get_type()
+            if self._chosen is None:
+                self._first = self._first or time.monotonic()
+                self._received.add(kind)
+                if time.monotonic() - self._first > _CHOOSE_SECONDS:
+                    self._chosen = next(name for name in MESSAGES if name in self._received)
+            if kind == self._chosen:
+                out.append(line_of(message))
+        return "".join(out).encode("ascii")
+
+    def close(self) -> None:
+        self._link.close()
+
+
+def line_of(message: Any) -> str:
+    """Return a MAVLink message as a line of t, ax, ay, az, gx, gy, gz in SI."""
+    kind = message.get_type()
+    seconds = message.time_boot_ms * 1e-3 if kind.startswith("SCALED") else message.time_usec * 1e-6
+    accel, gyro = (1.0, 1.0) if kind == "HIGHRES_IMU" else (_MILLI * G_STANDARD, _MILLI)
+    values = [seconds] + [accel * getattr(message, f"{axis}acc") for axis in "xyz"]
+    values += [gyro * getattr(message, f"{axis}gyro") for axis in "xyz"]
+    return ",".join(map(repr, values)) + "\n"
+
+
 class Replay(LineSource):
     """The log of a session at `speed` times the pace of its recording, infinite for at once.
 
@@ -331,7 +391,9 @@ def source_of(text: str) -> LineSource:
             if not before or number is None:
                 raise InputError(f"--listen {text}: expected serial:DEVICE:BAUD, e.g. serial:/dev/ttyUSB0:115200")
             return Serial(before, number)
+        case "mavlink" if rest:
+            return Mavlink(rest)
     raise InputError(
-        "--listen: expected file:PATH, replay:FOLDER@20x, stdin, udp:PORT, tcp:PORT or serial:DEVICE:BAUD, "
-        f"found {text!r}"
+        "--listen: expected file:PATH, replay:FOLDER@20x, stdin, udp:PORT, tcp:PORT, serial:DEVICE:BAUD "
+        f"or mavlink:udp:PORT, found {text!r}"
     )

@@ -366,6 +366,9 @@ def _stamps(source: LogSource, spec: LogSpec) -> Array:
         parts.append(table[spec.time].to_numpy()[is_row] * spec.time_factor)
         first += table.height
     stamps = np.concatenate(parts)
-    if spec.clock:
-        stamps += 2.0 * _HALF_DAY * np.cumsum(np.diff(stamps, prepend=stamps[:1]) < -_HALF_DAY)
-    return stamps
+    return past_midnight(stamps) if spec.clock else stamps
+
+
+def past_midnight(time: Array) -> Array:
+    """Return times of day (m,), s, continued past midnight."""
+    return np.asarray(time + 2.0 * _HALF_DAY * np.cumsum(np.diff(time, prepend=time[:1]) < -_HALF_DAY))

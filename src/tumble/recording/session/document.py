@@ -26,7 +26,7 @@ from tumble.recording.session import (
     sensors_from,
 )
 from tumble.recording.session.log_tables import LogTable
-from tumble.recording.session.table import SessionTable, key, name_of, visible
+from tumble.recording.session.table import SessionTable, check_name, check_plain, key
 from tumble.sensors.parameters import prior_of
 from tumble.units import DEGREE, G_STANDARD, TESLA
 
@@ -116,10 +116,10 @@ class ImuTable(SessionTable):
 class DeviceTable(SessionTable):
     """[device]"""
 
-    serial: Annotated[str, AfterValidator(name_of)] = Field(
+    serial: Annotated[str, AfterValidator(check_name)] = Field(
         min_length=1, description="the serial number, a string that is not empty"
     )
-    model: Annotated[str, AfterValidator(name_of)] | None = key("a string")
+    model: Annotated[str, AfterValidator(check_name)] | None = key("a string")
     systematic: str | None = key("the path of a calibration file", min_length=1)
     grade: Literal["navigation", "tactical", "mems", "consumer"] | None = key(
         "one of navigation, tactical, mems, consumer"
@@ -171,9 +171,9 @@ class CircumstancesTable(SessionTable):
     """[session]"""
 
     date: datetime | date_type | None = key("a date, or a date with a time, without quotes")
-    operator: Annotated[str, AfterValidator(visible)] | None = key("a name, a string", min_length=1)
+    operator: Annotated[str, AfterValidator(check_plain)] | None = key("a name, a string", min_length=1)
     conditions: ConditionsTable = Field(default_factory=ConditionsTable, description="a table of conditions")
-    equipment: list[Annotated[str, AfterValidator(visible)]] = Field(
+    equipment: list[Annotated[str, AfterValidator(check_plain)]] = Field(
         default_factory=list, description="a list of strings"
     )
 

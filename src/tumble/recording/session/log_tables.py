@@ -24,14 +24,14 @@ RAW = "raw"
 """The unit of thermometers with a scale and an offset."""
 
 _UNIT_NORM_TOLERANCE = 1e-6
-_LEAST_SINGULAR_VALUE = 1e-3
-_LEAST_SINE = 1e-3
+_LEAST_SINGULAR_VALUE = 1e-3  # of the axes; smaller ones leave a direction unobserved
+_LEAST_SINE = 1e-3  # of the angle between the first two accelerometers
 
 Numbers = float | list[float] | None
 """One number for all columns, or one per column."""
 
 
-def encoding_of_text(name: str) -> str:
+def check_encoding(name: str) -> str:
     try:
         "é".encode(name, errors="replace").decode(name)
     except (LookupError, UnicodeError, ValueError, TypeError):
@@ -39,7 +39,7 @@ def encoding_of_text(name: str) -> str:
     return name
 
 
-def different(files: str | list[str]) -> str | list[str]:
+def check_different(files: str | list[str]) -> str | list[str]:
     for file, count in Counter([files] if isinstance(files, str) else files).items():
         if count > 1:
             raise ValueError(f'expected different files, found "{file}" twice')
@@ -236,7 +236,7 @@ class TemperatureTable(SessionTable):
 class LogTable(SessionTable):
     """[log]"""
 
-    file: Annotated[str | list[str], AfterValidator(different)] = Field(
+    file: Annotated[str | list[str], AfterValidator(check_different)] = Field(
         min_length=1, description="a file name or a list of file names"
     )
     time: str | None = key("a column name", min_length=1)
@@ -249,7 +249,7 @@ class LogTable(SessionTable):
     decimal: Annotated[str, one_of(".,")] | None = key('"." or ","')
     comment: str | None = key("the mark that comments begin with", min_length=1, max_length=8)
     header: bool | None = key("true or false")
-    encoding: Annotated[str, AfterValidator(encoding_of_text)] | None = key("the name of an encoding")
+    encoding: Annotated[str, AfterValidator(check_encoding)] | None = key("the name of an encoding")
     accel: AccelTable = Field(description="the table [log.accel]")
     gyro: GyroTable | None = key("the table [log.gyro]")
     magnetometer: MagnetometerTable | None = key("the table [log.magnetometer]")

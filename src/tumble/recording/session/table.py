@@ -39,13 +39,13 @@ def one_of(names: Iterable[str]) -> AfterValidator:
     return AfterValidator(partial(check_known, known=tuple(names)))
 
 
-def visible(text: str) -> str:
+def check_plain(text: str) -> str:
     if not is_plain(text):
         raise ValueError(f"expected no control characters, found {shown(text)}")
     return text
 
 
-def name_of(text: str) -> str:
+def check_name(text: str) -> str:
     if not (text.strip() and text.isprintable() and len(text) <= LONGEST_NAME):
         raise ValueError(f"expected 1 to {LONGEST_NAME} printable characters, found {shown(text)}")
     return text

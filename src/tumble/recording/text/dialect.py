@@ -96,7 +96,7 @@ class Dialect:
         return self.comment is not None and line.lstrip().startswith(self.comment)
 
     def is_row(self, cells: Sequence[str]) -> bool:
-        """Return whether cells are a row of numbers: at least three, and half of the cells with clocks."""
+        """Return whether cells are a row: three numbers or more, and with clocks at least half of the filled cells."""
         if len(cells) < _FEWEST_NUMBERS:
             return False
         numbers, filled = sum(map(self.is_number, cells)), sum(map(bool, cells))

@@ -9,7 +9,7 @@ from typing import Any
 
 from tumble.result.calibration import Calibration
 from tumble.result.correction import Example, examples, linear_example
-from tumble.result.further import SENSORS, further_parameters, left_by_matrix
+from tumble.result.further import SENSORS, further_parameters, linear_errors_text
 from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import group_name, variable_of
 from tumble.units import Array
@@ -64,7 +64,7 @@ def application(calibration: Calibration) -> Section:
         redundant = f"One of more sensors {least}" if triads else f"{model_text}. A reading is corrected {least}"
         blocks += [redundant, Formula(name="apply_redundant")]
     blocks += _reading_blocks(calibration, present or models)
-    errors = left_by_matrix(calibration)
+    errors = linear_errors_text(calibration)
     if errors:
         blocks.append(f"This is the linear model, {errors}; the whole correction is at the end of the section.")
     if not present:

@@ -16,7 +16,7 @@ from tumble.errors import InputError
 from tumble.files import FilePath, ending_in, whole_file
 from tumble.result import further
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
-from tumble.result.further import recorded_on
+from tumble.result.further import recording_dates
 from tumble.views.blocks import Document, Facts, Items, Part, Section, Tone, section
 from tumble.views.numbers import NONE, device_name, fixed, significant
 from tumble.views.report import application, over_temperature, recording, result
@@ -218,7 +218,7 @@ def front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], .
     rows = [("serial number", first.serial), ("model", first.model or NONE)]
     if len(titles) > 1:
         return (*rows, ("calibrations", ", ".join(titles)))
-    recordings, moments = recording.recordings(first), recorded_on(first)
+    recordings, moments = recording.recordings(first), recording_dates(first)
     if len(moments) > _MAX_TIMES:
         moments = list(dict.fromkeys(moment[:10] for moment in moments))
     rows += [

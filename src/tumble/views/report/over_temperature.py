@@ -11,12 +11,12 @@ import numpy as np
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import (
     Range,
-    changing,
-    curve,
     measured_range,
-    own_thermometers,
+    rests_with_temperature,
+    temperature_curve,
     temperature_of,
-    warm_rests,
+    thermal_parameters,
+    thermometer_notes,
 )
 from tumble.sensors.parameters import group_name, group_of, positions_by_group, sensor_kind, within_group
 from tumble.units import Array, engineering
@@ -36,11 +36,15 @@ EXTRAPOLATION = 0.12  # extent of the picture beyond the measured range, as a fr
 
 def section(calibration: Calibration, name: str) -> Section | None:
     """Return the section; None if no parameter changes with temperature or all rests had one temperature."""
-    measured, reference, names = measured_range(calibration), calibration.reference_temperature, changing(calibration)
+    measured, reference, names = (
+        measured_range(calibration),
+        calibration.reference_temperature,
+        thermal_parameters(calibration),
+    )
     if measured is None or reference is None or not names:
         return None
     celsius, rows = np.array([measured.low, reference, measured.high]), []
-    curves = [curve(calibration, each, celsius) for each in names]
+    curves = [temperature_curve(calibration, each, celsius) for each in names]
     units = units_of_values((each.name, float(max(each.value, key=abs)), each.unit) for each in curves)
     for each in curves:
         size, unit = units[each.name]
@@ -55,7 +59,7 @@ def section(calibration: Calibration, name: str) -> Section | None:
         f"θ₁ and θ₂ being the parameters that end in t1 and t2{cubic}. U is that of the whole sum. Beyond the measured "
         "range the curve is an extrapolation, for which U does not stand."
     )
-    text += "".join(f" {sentence[0].upper()}{sentence[1:]}." for sentence in own_thermometers(calibration))
+    text += "".join(f" {sentence[0].upper()}{sentence[1:]}." for sentence in thermometer_notes(calibration))
     has_dots = any(True for each in names for _ in _readings(calibration, each, reference))
     dots = "Dots: a rest in parts, moved onto the curve. " if has_dots else ""
     over = Figure(
@@ -70,7 +74,7 @@ def section(calibration: Calibration, name: str) -> Section | None:
 def _curves(name: str, calibration: Calibration, names: Sequence[str], measured: Range, reference: float) -> str:
     """Draw, in a panel for each group, the change of the parameters from their reference values, with ±U."""
     by_group = {group: [names[i] for i in members] for group, members in positions_by_group(names).items()}
-    rests = warm_rests(calibration)
+    rests = rests_with_temperature(calibration)
 
     def draw(figure: Canvas) -> None:
         panels = figure.subplots(-(-len(by_group) // 2), 2, squeeze=False).ravel()
@@ -102,7 +106,7 @@ def _readings(calibration: Calibration, member: str, reference: float) -> Iterat
         if len(parts) >= MIN_PARTS:
             celsius = np.array([temperature_of(rests[k], kind) for k in parts])
             read = np.array([getattr(rests[k], kind).mean[channel] for k in parts])
-            at = curve(calibration, member, np.append(celsius, reference)).value
+            at = temperature_curve(calibration, member, np.append(celsius, reference)).value
             yield celsius, read - (read - at[:-1] + at[-1]).mean()
 
 
@@ -111,9 +115,9 @@ def _panel(axes: Axes, calibration: Calibration, members: Sequence[str], measure
     inside, curves = measured.temperatures(101), {}
     beyond = [np.linspace(start, start + margin, 15) for start in (measured.low - margin, measured.high)]
     for member in members:
-        at_reference = curve(calibration, member, np.array([reference])).value[0]
-        within = curve(calibration, member, inside)
-        outside = [curve(calibration, member, T).value - at_reference for T in beyond]
+        at_reference = temperature_curve(calibration, member, np.array([reference])).value[0]
+        within = temperature_curve(calibration, member, inside)
+        outside = [temperature_curve(calibration, member, T).value - at_reference for T in beyond]
         curves[member] = within.value - at_reference, within.expanded, outside
     size, unit = engineering(within.unit, max(float(np.abs(change).max()) for change, _, _ in curves.values()))
     for i, (member, (change, expanded, outside)) in enumerate(curves.items()):

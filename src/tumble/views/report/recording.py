@@ -15,7 +15,7 @@ from tumble.programme.positions import Position, from_attitudes
 from tumble.programme.sheet_words import short_code
 from tumble.recording.session import Site
 from tumble.result.calibration import Calibration
-from tumble.result.further import checked, rests_said
+from tumble.result.further import has_redundancy, rest_summary
 from tumble.result.parts import Launch, TurnResult
 from tumble.rotation import unit_vector
 from tumble.units import DEGREE, G_STANDARD, Array
@@ -175,7 +175,7 @@ def residuals(recording: RecordedSession, name: str) -> Section | None:
     if name:
         svg = figures.residuals(name, recording.recorded.rests, recording.recorded.turns)
         picture = Figure(svg=svg, caption="Residual of every rest, and how far rests and turns are from the fit.")
-    return section(title, f"{rests_said(recording.recorded)}.", picture, fits)
+    return section(title, f"{rest_summary(recording.recorded)}.", picture, fits)
 
 
 def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
@@ -185,7 +185,7 @@ def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
             "residuals of": name,
             "chi-square": f"{fit.chi_square:.1f}",
             "degrees of freedom": f"{fit.degrees:.1f}",
-            "probability": f"{fit.probability:.2f}" if checked(fit) else "",
+            "probability": f"{fit.probability:.2f}" if has_redundancy(fit) else "",
             "scatter added": in_engineering(fit.unit, fit.scatter) if fit.scatter > 0.0 else "none",
         }
         for name, fit in fits.items()

@@ -13,12 +13,12 @@ from tumble.result.coverage import expanded
 from tumble.result.further import (
     accepted_groups,
     decided_by_priors,
-    described,
     further_parameters,
-    left_by_matrix,
+    has_other_factors,
+    linear_errors_text,
     linear_parameters,
-    other_factors,
-    predicted,
+    parameter_words,
+    prediction_text,
     verdicts,
 )
 from tumble.result.parts import Parameter
@@ -113,9 +113,9 @@ def value_blocks(calibration: Calibration, further: Cells | None = None) -> list
         )
         blocks += [_parameter_table(calibration, further), Text(text=meaning, tone="small")]
     if calibration.prediction is not None:
-        errors = left_by_matrix(calibration)
+        errors = linear_errors_text(calibration)
         linear = f", with the whole correction; {errors}" if errors else ""
-        blocks.append(f"Known to (standard uncertainty): {predicted(calibration.prediction)}{linear}.")
+        blocks.append(f"Known to (standard uncertainty): {prediction_text(calibration.prediction)}{linear}.")
         correction = "Matrix and bias: true = matrix⁻¹ · (reading − bias)."
         if errors:
             correction += f" The whole correction takes from a reading besides: {added_terms(calibration)}."
@@ -130,12 +130,12 @@ def _parameter_table(calibration: Calibration, further: Cells | None) -> Table:
     """Return the linear parameters with U; if any, with coverage factors other than 2, and with deviations from the
     systematic values and between launches."""
     parameters = linear_parameters(calibration.parameters)
-    factors = other_factors(parameters)
+    factors = has_other_factors(parameters)
     passport = any(p.deviation is not None for p in parameters)
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         (value, shown), U = with_expanded(p, size), expanded(p)
-        row = {"": described(p.name), "mean" if calibration.evidence.launches else "value": value}
+        row = {"": parameter_words(p.name), "mean" if calibration.evidence.launches else "value": value}
         row |= {"U (95 %)": shown, "unit": unit}
         row |= {"k": factor(p), "ν": degrees(p)} if factors else {}
         row |= {"run to run": to_digits_of(p.run_to_run, U, size)} if calibration.evidence.launches else {}

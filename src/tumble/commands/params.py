@@ -1,10 +1,11 @@
-"""What several commands ask for: each option declared once, with one meaning."""
+"""Options, arguments and parameter types that several commands share."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -24,7 +25,7 @@ _Option = Callable[[_Command], _Command]
 
 
 class _NamedPath(click.Path):
-    """A path that is not empty: an empty one, as of a variable that is not set, would be the working folder."""
+    """A path that is not empty, as it is from an unset variable: it would be the working folder."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if value == "":
@@ -36,7 +37,7 @@ class _NamedPath(click.Path):
 
 
 class Numbers(click.ParamType[tuple[Any, ...]]):
-    """Numbers with commas between them, each `above` something, so many where a `count` is given."""
+    """Numbers with commas between them, each larger than `above`; `count` of them unless 0."""
 
     name = "numbers"
 
@@ -50,7 +51,7 @@ class Numbers(click.ParamType[tuple[Any, ...]]):
         return self.read(param.opts[0] if param else "", value)
 
     def read(self, option: str, text: str) -> tuple[Any, ...]:
-        """The numbers of the text of an option. Raises InputError."""
+        """Return the numbers in the text of an option. Raises InputError."""
         try:
             values = tuple(map(self.kind, text.split(",")))
         except ValueError:
@@ -61,7 +62,6 @@ class Numbers(click.ParamType[tuple[Any, ...]]):
 
 
 def _latitude(text: str | float) -> float:
-    """Decimal degrees, north positive."""
     try:
         return float(text)
     except ValueError:
@@ -77,47 +77,39 @@ METHOD_NAMES = ["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 NUMBERS = Numbers("numbers with commas between them")
 FRAMES = ["accelerometer", "case", "paper", "symmetric"]
 AS_JSON = "tumble.json"
-"""The key under which a context has that the result is wanted as JSON."""
+"""Key of a click context under which `--json` is stored."""
 
 
 def examples(*lines: str) -> str:
-    """What stands below the help of a command."""
+    """Return the examples below the help of a command."""
     return "\b\n" + "\n".join(("Examples:", *(f"  {line}" for line in lines)))
 
 
 def option(name: str, says: str, default: Any = None, **settings: Any) -> _Option:
-    """An option, whose default is shown where it has one."""
+    """Return an option, with its default shown if it has one."""
     if default is not None:
         settings |= {"default": default, "show_default": True}
     return click.option(*name.split("/"), help=says, **settings)
 
 
-def together(*options: _Option) -> _Option:
-
-    def with_all(command: _Command) -> _Command:
-        for each in reversed(options):
-            command = each(command)
-        return command
-
-    return with_all
+def _group(*options: _Option) -> _Option:
+    return lambda command: reduce(lambda wrapped, each: each(wrapped), reversed(options), command)
 
 
 def programmes_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
-    """Built-in programmes that begin with what was typed, for the tab key."""
+    """Return the built-in programmes that begin with the typed text, for completion."""
     from tumble.programme.positions import programmes
 
     return [name for name in programmes() if name.startswith(typed)]
 
 
 def _grades_like(_context: click.Context, _parameter: click.Parameter, typed: str) -> list[str]:
-    """Grades that begin with what was typed, for the tab key."""
     from tumble.sensors.grades import GRADES
 
     return [name for name in GRADES if name.startswith(typed)]
 
 
 def out(says: str, kind: click.Path = FILE, **settings: Any) -> _Option:
-    """Where a result is written."""
     return click.option("-o", "--out", type=kind, help=says, **settings)
 
 
@@ -134,7 +126,6 @@ def grade(default: str | None = usual_setup.GRADE, says: str = "") -> _Option:
 
 
 def terms(default: str) -> _Option:
-    """The groups of parameters that the instrument has."""
     says = "Groups of parameters: all (full), or bias, scale factor and axis angles alone (linear)."
     return option("--terms", says, default, type=click.Choice(["full", "linear"]))
 
@@ -148,7 +139,6 @@ def method(methods: list[str], default: str | list[str] | None, says: str, **set
 
 
 def registry(says: str) -> _Option:
-    """The registry that says what is known beforehand."""
     return option("--registry", says, metavar="FILE|URL")
 
 
@@ -165,7 +155,6 @@ CERTIFICATE = option("--certificate", "TOML file with laboratory, customer, numb
 
 
 def registry_place(**settings: Any) -> _Option:
-    """Where the registry is that is read or added to."""
     says = "The registry: an SQLite file or postgresql://USER@HOST/NAME."
     return option("--registry/place", says, metavar="FILE|URL", envvar="TUMBLE_REGISTRY", show_envvar=True, **settings)
 
@@ -176,7 +165,7 @@ HEIGHT = option("--height", "Of the place, m over the sea; unstated, 1300 m are 
 LATITUDE = option("--latitude", "Of the place, ° north.", type=_latitude, metavar="DEGREES")
 SERIAL = option("--serial", "Serial number of the device; default: the name of FOLDER or LOG.", metavar="NUMBER")
 SAMPLE_RATE = "--sample-rate", "Samples per second"
-COLUMNS = together(
+COLUMNS = _group(
     option(SAMPLE_RATE[0], f"Of a LOG: {SAMPLE_RATE[1]}, instead of the times in it.", type=float, metavar="HZ"),
     option("--accel", "Of a LOG: columns of the accelerometers, names or numbers from 1.", metavar="N,N,N"),
     option("--gyro", "Of a LOG: columns of the gyros, names or numbers from 1.", metavar="N,N,N"),
@@ -184,22 +173,17 @@ COLUMNS = together(
     option("--accel-unit", "Of a LOG: unit of the accelerometers, as in session.toml.", metavar="UNIT"),
     option("--gyro-unit", "Of a LOG: unit of the gyros, as in session.toml.", metavar="UNIT"),
 )
-"""What is known of the columns of a log that no session describes."""
-LOG = together(SERIAL, LATITUDE, HEIGHT, COLUMNS)
-"""What is known of a log of which a session is made."""
-
-
-_UNITS = "accel_unit", "gyro_unit"
+"""Options that describe the columns of a log without a session."""
+LOG = _group(SERIAL, LATITUDE, HEIGHT, COLUMNS)
+"""Options from which, with a log, a session is made."""
 
 
 def given_of(options: dict[str, Any]) -> Given:
-    """What is said of a log, of options that are taken out of all."""
+    """Take the options that describe a log out of all options."""
     from tumble.drafting.new_session import Given
 
-    stated: dict[str, Any] = {
-        name: options.pop(name, None)
-        for name in ("serial", "latitude", "height", "sample_rate", "programme", "message", "time", *_UNITS)
-    }
+    names = "serial", "latitude", "height", "sample_rate", "programme", "message", "time", "accel_unit", "gyro_unit"
+    stated: dict[str, Any] = {name: options.pop(name, None) for name in names}
     for kind in ("accel", "gyro"):
         columns = options.pop(kind)
         stated[kind] = tuple(columns.split(",")) if columns else ()
@@ -217,13 +201,12 @@ NOISELESS = click.option(
     help="No noise, no instability and, in plans, no parameters beyond bias, scale factor and axis angles: "
     "errors of the method alone.",
 )
-PACE = together(
+PACE = _group(
     option("--rest", "Duration of a rest, s.", usual_setup.ON_TABLE.rest, type=float),
     option("--turn-rate", "Rate of the turns, °/s.", usual_setup.ON_TABLE.rate_deg_s, type=float),
 )
 
-
-SETUP = together(
+SETUP = _group(
     grade(),
     TABLE_ERROR,
     MOUNTING_ERROR,
@@ -234,11 +217,11 @@ SETUP = together(
     option("--clock-ppm-u", "Uncertainty of the time base, ppm.", 30.0, type=float),
     NOISELESS,
 )
-"""What describes a set-up on a table before anything is measured."""
+"""Options that describe a set-up on a table before anything is measured."""
 
 
 def setup_of(options: dict[str, Any]) -> Setup:
-    """A set-up from the options of SETUP, or of `simulate`, which leaves some out and has others."""
+    """Return a set-up from the options of `plan` or `simulate`."""
     from tumble.planning.setup import Setup
 
     named = {"turn_rate": "rate_deg_s", "table_error": "table_error_deg", "mounting_error": "mounting_error_deg"}
@@ -247,20 +230,20 @@ def setup_of(options: dict[str, Any]) -> Setup:
     return Setup.of(**words, noise_factor=0.0 if options["noiseless"] else 1.0)
 
 
-CLUSTER = together(
+CLUSTER = _group(
     out("Folder for the results; resumed if begun.", FOLDER, required=True),
     option("--workers", "Processes here; default: one a core.", type=click.IntRange(min=1)),
     option("--cluster", "Compute on a dask cluster that is there.", metavar="tcp://HOST:PORT"),
     click.option("--in-process", "serial", is_flag=True, help="Compute in this process."),
 )
-"""Where many tasks are computed, and into which folder."""
+"""Options on where many tasks are computed, and their folder."""
 
 
 class Knowledge(Protocol):
-    """What is known of devices and types beforehand, as a registry has it."""
+    """Earlier calibrations of devices and types, as a registry has them."""
 
     def prior(self, model: str, *, without: str | None = None) -> DevicePrior:
-        """What the units of a type are like, without one serial number."""
+        """Return the prior from the units of a type, without one serial number."""
         ...
 
     def launches(self, serial: str) -> tuple[LaunchVariances, ...]:
@@ -270,7 +253,7 @@ class Knowledge(Protocol):
 
 @contextmanager
 def opened(place: str) -> Iterator[Knowledge]:
-    """A registry, by the entry point of the package that has it. Raises InputError where none is installed."""
+    """Open a registry by the entry point of its package. Raises InputError if none is installed."""
     from types import FunctionType
 
     from tumble.plugins import load

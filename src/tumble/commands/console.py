@@ -1,0 +1,174 @@
+"""Output of the commands: results, messages, progress and exit status."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import click
+
+from tumble.commands.params import AS_JSON
+
+if TYPE_CHECKING:
+    from tumble.recording.log import Chunk, Log
+    from tumble.views.blocks import Block
+
+
+def as_json() -> bool:
+    """Return True if --json was given."""
+    return bool(click.get_current_context().meta.get(AS_JSON))
+
+
+def show(result: Any, blocks: Callable[[], Iterable[Block]], width: int | None = None) -> None:
+    """Print a result, a dataclass or a dictionary, as JSON with `--json`, else its blocks.
+
+    Without a terminal sentences are broken after `width` characters, or not at all if it is None."""
+    if as_json():
+        print_json(result, indent=1)
+    else:
+        from tumble.views.render.terminal import print_blocks
+
+        print_blocks(*blocks(), width=width)
+
+
+def print_json(result: Any, indent: int | None = None) -> None:
+    """Print a result as ASCII JSON; without `indent` on one line."""
+    import json
+
+    from tumble.documents import as_json as data_of
+
+    click.echo(json.dumps({"format": 1} | data_of(result), indent=indent, allow_nan=False))
+
+
+def answer(line: str) -> None:
+    """Print a line, without control characters, to standard output."""
+    from tumble.documents import plain
+
+    click.echo(plain(line))
+
+
+def say(line: str) -> None:
+    """Print a note to standard error, unless `tumble -q` was given."""
+    if not _quiet():
+        warn(line)
+
+
+def warn(line: str) -> None:
+    """Print a line, without control characters, to standard error."""
+    from tumble.documents import plain
+
+    click.echo(plain(line), err=True)
+
+
+LONGEST_REASON = 300  # characters of a shortened reason, three lines of a terminal
+
+
+def end(reasons: Iterable[str], kind: str = "", most: int | None = None) -> NoReturn:
+    """Print the reasons for a negative answer to standard error, and exit with status 1 if there are any, else 0.
+
+    With `most`, at most that many are printed, each shortened to LONGEST_REASON characters."""
+    reasons = list(reasons)
+    for reason in reasons[:most]:
+        warn(f"{kind}{reason if most is None else _first_clauses(reason)}")
+    if most is not None and len(reasons) > most:
+        warn(f"{kind}{len(reasons) - most} more reasons: --all")
+    sys.exit(1 if reasons else 0)
+
+
+def _first_clauses(reason: str) -> str:
+    """Return the clauses of a sentence, split at semicolons, that fit into LONGEST_REASON characters."""
+    kept, *others = reason.split("; ")
+    for clause in others:
+        if len(kept) + len(clause) > LONGEST_REASON:
+            return f"{kept} (more: --all)"
+        kept += f"; {clause}"
+    return kept
+
+
+def _quiet() -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and bool(context.find_root().params.get("quiet"))
+
+
+SHOWN = 20  # failed tasks that are listed on standard error
+Report = Callable[[int, int], None]
+"""Function that receives the number of tasks done and of all."""
+_CLEAR_LINE = "\r\x1b[K"
+_REDRAW_INTERVAL = 0.2  # s
+
+
+@contextmanager
+def working(what: str) -> Iterator[Report]:
+    """Yield a function that receives how much is done; a line on the terminal shows it with elapsed and remaining time.
+
+    The line is cleared at the end."""
+    if _quiet() or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda _done, _all: None
+        return
+    started, counts, ended = time.monotonic(), (0, 0), threading.Event()
+
+    def report(done: int, total: int) -> None:
+        nonlocal counts
+        counts = done, total
+
+    def draw() -> None:
+        while True:
+            (done, total), elapsed = counts, time.monotonic() - started
+            parts = [what, f"{done} of {total}" if total else f"{done}" if done else "", f"{elapsed:.0f} s"]
+            parts.append(f"{elapsed * (total - done) / done:.0f} s left" if 0 < done < total and elapsed > 1.0 else "")
+            click.echo(_CLEAR_LINE + "  ".join(filter(None, parts)), err=True, nl=False)
+            if ended.wait(_REDRAW_INTERVAL):
+                return
+
+    drawing = threading.Thread(target=draw, name="progress", daemon=True)
+    drawing.start()
+    try:
+        yield report
+    finally:
+        ended.set()
+        drawing.join()
+        click.echo(_CLEAR_LINE, err=True, nl=False)
+
+
+def with_progress(log: Log) -> Iterator[Chunk]:
+    """Yield the chunks of a log; a terminal shows the number of samples read."""
+    with working("reading") as report:
+        yield from _counted(log, report)
+
+
+@contextmanager
+def estimating() -> Iterator[Callable[[Log], Iterator[Chunk]]]:
+    """Yield a function that reads a log for an estimate, whose progress a terminal shows until the end of the block."""
+    with working("estimating") as report:
+        yield lambda log: _counted(log, report)
+
+
+def _counted(log: Log, report: Report) -> Iterator[Chunk]:
+    samples = 0
+    for chunk in log.chunks():
+        samples += len(chunk.time)
+        report(samples, 0)
+        yield chunk
+    report(0, 0)
+
+
+@contextmanager
+def task_progress(what: str, out: Path) -> Iterator[Report]:
+    """Yield a function that receives how many of the tasks of a folder are done, and shows them on a terminal.
+
+    If it is never called, all were done before, which is said."""
+    reports = []
+    with working(what) as show_progress:
+
+        def report(done: int, total: int) -> None:
+            reports.append(done)
+            show_progress(done, total)
+
+        yield report
+    if not reports:
+        say(f"{out} was complete: no {what} were computed; to compute them anew give another folder")
