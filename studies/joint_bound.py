@@ -24,11 +24,11 @@ from stored import shown, store
 from tests.support.staged import staged
 from tumble.inference.estimate import Estimate
 from tumble.inference.fits import TOTAL
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import linearise
 from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Point, Problem
-from tumble.inference.turns_about import TurnsAbout
 from tumble.methods.paper.four_stages import scalar, sequential
 from tumble.planning.setup import GROUPS, Setup
 from tumble.reduction.observations import Observations
@@ -93,7 +93,7 @@ def _bound(scenario: Scenario, observations: Observations, truth: Array, number:
     way = itinerary(scenario, np.random.default_rng([number, 1]).spawn(3)[0])
     point = Point(values=truth, gravity=scenario.site.gravity, attitudes=way.attitudes)
     problem = Problem.of(observations)
-    rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, truth))
+    rows = linearise(problem, point, IntegratedTurns.of(observations, problem.instrument, truth))
     step = solve(rows)
     return np.asarray(step.covariance[1:, 1:])
 

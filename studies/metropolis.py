@@ -24,11 +24,11 @@ import numpy as np
 
 from tumble.inference.estimate import Outcome
 from tumble.inference.hyperparameters import quadratic_forms, solution_at
-from tumble.inference.integral import SHOWN, conditional, posterior
-from tumble.inference.maximum import Maximum, maximum
+from tumble.inference.integral import INFORMATIVE_GROUP, posterior
+from tumble.inference.maximum import Maximum, maximise
 from tumble.inference.normal_equations import Solution
 from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
-from tumble.inference.start import start_of
+from tumble.inference.start import initial_linearisation
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.run.observed import inspect_session, observations_for_calibration
@@ -61,7 +61,7 @@ def shown(fitted: Maximum) -> list[int]:
         phi[i] += fitted.curvature[i, i] ** -0.5
         at_bound = h.bounded and fitted.phi[i] <= 0.0
         _, trace = quadratic_forms(fitted.hyperparameters, evaluated(fitted, phi))
-        if not at_bound or 2.0 * trace[i] > SHOWN:
+        if not at_bound or 2.0 * trace[i] > INFORMATIVE_GROUP:
             out.append(i)
     return out
 
@@ -101,9 +101,9 @@ def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float
                 phi, value = tried, there
         path.append(phi[walking])
         if i >= 0:
-            here = conditional(evaluated(fitted, phi))
-            means.append(here.step)
-            within += here.covariance / draws
+            here = evaluated(fitted, phi)
+            means.append(here.session_step)
+            within += here.session_covariance / draws
     return np.mean(means, axis=0), within + np.cov(np.array(means).T), accepted / draws
 
 
@@ -117,7 +117,7 @@ def compared(fitted: Maximum, *, draws: int, seed: int) -> Compared:
         means=float(np.abs((integral.step - mean)[linear] / u).max()),
         u=float(np.abs(other / u - 1.0).max()),
         u_rms=float(np.sqrt(np.mean((other / u - 1.0) ** 2))),
-        effective=integral.effective,
+        effective=integral.integral.effective,
         accepted=accepted,
     )
 
@@ -126,7 +126,7 @@ def fitted_of(session: Observations) -> Maximum:
     """The maximum of a session."""
     instrument, local = instruments_of(session)
     problem = Problem.of(session, NO_PRIOR, instrument=instrument, local=local, usual=session.usual)
-    return maximum(start_of(problem)[0])
+    return maximise(initial_linearisation(problem))
 
 
 def sessions(kind: str, seed: int) -> Observations:

@@ -14,8 +14,8 @@ from tumble.diagnosis.verdict import verdict
 from tumble.earth import earth_rate
 from tumble.inference.joint import joint
 from tumble.inference.problem import Problem
-from tumble.inference.sources import by_time_base, clocked, common_covariances, common_rounding
-from tumble.inference.start import start_of
+from tumble.inference.sources import clock_effects, clock_errors, common_covariances, common_rounding
+from tumble.inference.start import initial_linearisation
 from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
 from tumble.recording.session import Site
@@ -105,10 +105,10 @@ def test_the_time_base_is_that_of_rates_and_of_increments_of_velocity(
     """Increments of gyros are angles, whatever the clock says; forces are compared with gravity, unless they are
     increments divided by their intervals."""
     log = described(accel, gyro, clock_ppm_u=20).log
-    found = clocked(log.time_base_u, log.increments)
+    found = clock_effects(log.time_base_u, log.increments)
     assert found == pytest.approx(changed)
     names = Instrument.of(ACCEL, GYRO).names
-    by_name = by_time_base(names, found)
+    by_name = clock_errors(names, found)
     assert by_name.tolist() == pytest.approx([changed.get(name.rpartition(".")[0], 0.0) for name in names])
 
 
@@ -163,7 +163,7 @@ def test_the_noise_of_a_turn_is_a_covariance_however_unlike_its_gyros_are(noise:
     observations = replace(observations, turns=turns)
     instrument = Instrument.of(observations.accel_block, observations.gyro_block, observations.usual)
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
-    at, _ = start_of(problem)
+    at = initial_linearisation(problem)
     found = at.noise.turn
     size = np.sqrt(np.diagonal(found, axis1=1, axis2=2))
     assert np.linalg.eigvalsh(found / size[:, :, None] / size[:, None, :]).min() > 0.0

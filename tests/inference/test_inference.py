@@ -16,7 +16,6 @@ import tumble
 from tests.support import study
 from tests.support.wandering_biases import middles
 from tumble.diagnosis.verdict import verdict
-from tumble.inference import elimination
 from tumble.inference import joint as of_joint
 from tumble.inference.fits import sigmas
 from tumble.inference.hyperparameters import (
@@ -30,14 +29,14 @@ from tumble.inference.hyperparameters import (
     score,
     solution_at,
 )
-from tumble.inference.integral import Folded, conditional, members_of, posterior, smoothed, triangles
+from tumble.inference.integral import Folded, members_of, pareto_smoothed, posterior, triangles
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
-from tumble.inference.maximum import Maximum, Status, maximum, without_outliers
+from tumble.inference.maximum import Maximum, Status, maximise, without_outliers
 from tumble.inference.noise import VarianceComponents
-from tumble.inference.normal_equations import session_mean_bias, solve
+from tumble.inference.normal_equations import Solution, session_mean_bias, solve
 from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
-from tumble.inference.start import start_of
+from tumble.inference.start import initial_linearisation
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes, programme
 from tumble.reduction.observations import Observations, join_sessions
@@ -100,17 +99,28 @@ SESSIONS = {"pyramids": of_pyramids, "accelerometers": accelerometers_alone, "tw
 def started(session: Observations) -> Linearisation:
     """The rows of a session at its start."""
     instrument, local = instruments_of(session)
-    return start_of(Problem.of(session, NO_PRIOR, instrument=instrument, local=local, usual=session.usual))[0]
+    problem = Problem.of(session, NO_PRIOR, instrument=instrument, local=local, usual=session.usual)
+    return initial_linearisation(problem)
 
 
 def fitted_of(session: Observations) -> Maximum:
-    return maximum(started(session))
+    return maximise(started(session))
 
 
 def away_from_bounds(entries: Sequence[Hyperparameter], seed: int = 5) -> Array:
     """φ where nothing is at its most likely, and no size at its bound."""
     rng = np.random.default_rng(seed)
     return np.array([0.5 if h.bounded else h.centre for h in entries]) + 0.3 * rng.uniform(-1.0, 1.0, len(entries))
+
+
+def covariances(step: Solution, unknowns: slice) -> Array:
+    """Covariances of some unknowns of each rest, and with those of the next (2, N, k, k)."""
+    sensitivity, parts = step.equations.sensitivity[:, unknowns, :-1], enumerate(step.problem.parts)
+    root = np.concatenate([sensitivity[part.stations] @ step.roots[s] for s, part in parts])
+    out = step.conditional_covariances[:, :, unknowns, unknowns].copy()
+    out[0] += root @ np.swapaxes(root, 1, 2)
+    out[1, :-1] += root[:-1] @ np.swapaxes(root[1:], 1, 2)
+    return out
 
 
 # -------------------- the score --------------------
@@ -120,7 +130,7 @@ def away_from_bounds(entries: Sequence[Hyperparameter], seed: int = 5) -> Array:
 def test_the_score_is_the_derivative_of_the_likelihood(name: str) -> None:
     """By central differences at one linearisation, of every kind of hyperparameter there is."""
     at = started(SESSIONS[name]())
-    entries = maximum(at, iterations=1).hyperparameters
+    entries = maximise(at, iterations=1).hyperparameters
     phi, step = away_from_bounds(entries), 1e-4
     gradient = score(entries, solution_at(at, entries, phi))
     kinds = dict[tuple[object, ...], list[int]]()
@@ -140,7 +150,7 @@ def test_the_score_is_the_derivative_with_rows_that_count_less_and_rows_left_out
     at, rng = started(observed(by_hand())), np.random.default_rng(0)
     rest, turn = (rng.uniform(0.3, 1.0, w.shape) for w in (at.noise.rest_weights, at.noise.turn_weights))
     rest[3], turn[5] = 1e-3, 1e-3
-    entries, step = maximum(at, iterations=1).hyperparameters, 1e-4
+    entries, step = maximise(at, iterations=1).hyperparameters, 1e-4
     at, phi = replace(at, noise=at.noise.weighted(rest, turn, at.noise.link_weights)), away_from_bounds(entries)
     here = solution_at(at, entries, phi)
     gradient = score(entries, here)
@@ -153,7 +163,7 @@ def test_the_score_is_the_derivative_with_rows_that_count_less_and_rows_left_out
 
 def test_sessions_of_the_score_have_every_kind_of_hyperparameter() -> None:
     """Of scatter all eight, and of the others every kind."""
-    found = [h for make in SESSIONS.values() for h in maximum(started(make()), iterations=1).hyperparameters]
+    found = [h for make in SESSIONS.values() for h in maximise(started(make()), iterations=1).hyperparameters]
     assert {h.name for h in found if isinstance(h, Scatter)} == {
         *("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart")
     }
@@ -266,7 +276,7 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
     np.testing.assert_allclose(
         (step.unknowns[:, 3:] * sigma).ravel() / u[states], values[states] / u[states], atol=1e-4, rtol=1e-5
     )
-    own = np.diagonal(step.covariances(slice(3, None))[0], axis1=1, axis2=2)
+    own = np.diagonal(covariances(step, slice(3, None))[0], axis1=1, axis2=2)
     np.testing.assert_allclose(np.sqrt(own).ravel() * np.tile(sigma, N), u[states], rtol=1e-5)
     changed = solve(at, replace(IN_RUN, gyro_time=100.0, turn=5e-5))
     assert changed.deviance - step.deviance == pytest.approx(other - deviance, abs=1e-3)
@@ -290,26 +300,6 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
         expected / np.outer(scale, scale),
         atol=1e-5,
     )
-
-
-@pytest.mark.parametrize("latitude", [True, False], ids=["latitude", "no latitude"])
-def test_the_elimination_of_many_states_is_that_of_few(monkeypatch: pytest.MonkeyPatch, latitude: bool) -> None:
-    """By LAPACK as by the loops, with a heading that nothing shows, and over a cut."""
-    session = in_two_files(observed(by_hand(9), full=True), 4)
-    if not latitude:
-        session = replace(session, site=replace(session.site, latitude=None))
-    at = started(session)
-    few = solve(at, IN_RUN)
-    few_states = few.covariances(slice(3, None))
-    monkeypatch.setattr(elimination, "LARGE", 0)
-    many = solve(at, IN_RUN)
-    u = np.sqrt(np.diag(few.covariance))
-    np.testing.assert_allclose(many.parameters / u, few.parameters / u, atol=1e-6)
-    np.testing.assert_allclose(many.covariance / np.outer(u, u), few.covariance / np.outer(u, u), atol=1e-7)
-    np.testing.assert_allclose(many.unknowns[:, 3:], few.unknowns[:, 3:], atol=1e-6)
-    np.testing.assert_allclose(many.covariances(slice(3, None)), few_states, atol=1e-7)
-    assert many.deviance == pytest.approx(few.deviance, abs=1e-6)
-    assert not np.array_equal(many.equations.rest_factors, few.equations.rest_factors)  # it did go another way
 
 
 def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew() -> None:
@@ -344,11 +334,11 @@ def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew()
 def test_two_starts_have_one_maximum(name: str) -> None:
     """From above and from below everything that is likely: ℓ within a fifth, and the parameters within a fifth of u."""
     at = started(SESSIONS[name]() if name in SESSIONS else observed(by_hand()))
-    first = maximum(at)
+    first = maximise(at)
     found = [first]
     for away in (-1.5, 1.5):
         phi = np.array([max(away, 0.0) if h.bounded else h.centre + away for h in first.hyperparameters])
-        found.append(maximum(at, phi))
+        found.append(maximise(at, phi))
     linear = slice(at.problem.instrument.linear_count)
     u = np.sqrt(first.solution.covariance.diagonal()[1:])[linear]
     for each in found:
@@ -359,7 +349,7 @@ def test_two_starts_have_one_maximum(name: str) -> None:
 
 def test_a_status_that_ran_out_is_not_converged_and_not_accepted(monkeypatch: pytest.MonkeyPatch) -> None:
     session = observed(by_hand())
-    short = maximum(started(session), iterations=1)
+    short = maximise(started(session), iterations=1)
     assert short.status is Status.ran_out
     assert not short.converged
     assert joint(session).converged
@@ -400,7 +390,7 @@ def test_the_farthest_of_many_rests_is_no_outlier() -> None:
 def test_a_robust_fit_settles() -> None:
     """Weights and scatter agree in fewer steps than there may be."""
     fitted = fitted_of(observed(by_hand()))
-    robust = maximum(fitted.linearisation, fitted.phi, robust=True)
+    robust = maximise(fitted.linearisation, fitted.phi, robust=True)
     assert robust.converged
     assert len(robust.increments) < 15
 
@@ -443,7 +433,7 @@ def test_the_integral_is_the_same_to_the_last_digit() -> None:
     first, second = (posterior(fitted_of(observed(by_hand(9)))) for _ in range(2))
     for name in ("step", "covariance", "degrees", "process_step", "process_covariance", "hyperparameters"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
-    assert (first.effective, first.pareto) == (second.effective, second.pareto)
+    assert first.integral == second.integral
 
 
 @pytest.mark.weekly
@@ -471,13 +461,13 @@ def test_sizes_folded_into_a_triangle_are_those_of_the_whole_elimination(name: s
     (alpha,), (gamma,), (omega,) = every.alpha, every.gamma, every.omega
     for k in range(2):
         solution = solution_at(fitted.linearisation, hyperparameters, phi[k])
-        expected = conditional(solution)
-        u = np.sqrt(np.maximum(np.diag(expected.covariance), 1e-300))
+        step, covariance = solution.session_step, solution.session_covariance
+        u = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         likelihood = folded.log_likelihood[k] - 0.5 * every.deviance[0]
         assert likelihood == pytest.approx(-0.5 * float(solution.deviance), abs=1e-6)
-        np.testing.assert_allclose((alpha + gamma @ folded.values[k] - expected.step)[1:] / u[1:], 0.0, atol=1e-6)
+        np.testing.assert_allclose((alpha + gamma @ folded.values[k] - step)[1:] / u[1:], 0.0, atol=1e-6)
         whole = omega + gamma @ folded.covariance(np.eye(2)[k]) @ gamma.T
-        np.testing.assert_allclose((whole - expected.covariance) / np.outer(u, u), 0.0, atol=1e-6)
+        np.testing.assert_allclose((whole - covariance) / np.outer(u, u), 0.0, atol=1e-6)
 
 
 def test_a_posterior_that_the_proposal_misses_is_found_in_rounds(data: Path) -> None:
@@ -501,21 +491,21 @@ def test_the_integral_is_wider_than_the_maximum() -> None:
     ratio = np.sqrt(np.diag(whole.covariance)[linear] / np.diag(alone.covariance)[linear])
     assert np.all(ratio > 0.98)
     assert ratio.max() > 1.02
-    assert whole.effective > 0.2 * whole.points
-    assert whole.pareto < 0.7
+    assert whole.integral.effective > 0.2 * whole.integral.points
+    assert whole.integral.pareto < 0.7
 
 
 def test_weights_and_their_shape_are_those_of_the_distribution_they_are_from() -> None:
     """Equal weights are all effective; of half of them the half; and the shape of Pareto's distribution is found."""
-    weight, shape = smoothed(np.full(128, -700.0))
+    weight, shape = pareto_smoothed(np.full(128, -700.0))
     assert 1.0 / (weight**2).sum() == pytest.approx(128.0)
     assert shape == 0.0
-    weight, _ = smoothed(np.where(np.arange(128) % 2 == 0, 3.0, -1e4))
+    weight, _ = pareto_smoothed(np.where(np.arange(128) % 2 == 0, 3.0, -1e4))
     assert 1.0 / (weight**2).sum() == pytest.approx(64.0)
     chance = (np.arange(20000) + 0.5) / 20000
     for k in (0.2, 0.5, 0.9):
         log_weight = -k * np.log1p(-chance)
-        weight, shape = smoothed(np.random.default_rng(1).permutation(log_weight))
+        weight, shape = pareto_smoothed(np.random.default_rng(1).permutation(log_weight))
         assert shape == pytest.approx(k, abs=0.1)
         assert weight.sum() == pytest.approx(1.0)
         assert weight.max() <= np.exp(log_weight.max()) / np.exp(log_weight).sum() * 1.5

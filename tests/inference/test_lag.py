@@ -12,16 +12,16 @@ from tumble.inference.hyperparameters import solution_at
 from tumble.inference.joint import joint
 from tumble.inference.lag import (
     LAGS,
-    greater_by,
+    added_covariance,
     log_odds_of_change,
     maximum_with_lags,
     resolved,
     without,
 )
 from tumble.inference.linearisation import linearise
-from tumble.inference.maximum import MAX_ITERATIONS, likeliest_phi, maximum
+from tumble.inference.maximum import MAX_ITERATIONS, maximise, maximise_phi
 from tumble.inference.problem import Problem, instruments_of
-from tumble.inference.start import start_of
+from tumble.inference.start import initial_linearisation
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.run.from_estimate import temperature_notes
@@ -72,7 +72,7 @@ def test_u_of_a_mixture_is_half_its_half_width() -> None:
     def mixed(*others: tuple[float, float, float]) -> float:
         variances, values, weights = np.array(others).T
         every = np.stack([variances, values], axis=1)[:, None]
-        return float(np.sqrt(1.0 + greater_by(every, held, weights)[0, 0]))
+        return float(np.sqrt(1.0 + added_covariance(every, held, weights)[0, 0]))
 
     assert mixed((1.0, 0.0, 0.98), (1.0, 100.0, 0.02)) < 1.2
     assert mixed((1.0, 0.0, 0.5), (1.0, 100.0, 0.5)) == pytest.approx(0.5 * (100.0 + stats.norm.isf(0.091)), rel=1e-3)
@@ -150,14 +150,14 @@ def test_a_lag_is_judged_with_the_sizes_that_are_likeliest_with_it() -> None:
     _, observations = warming(0, "25+10@300", {"accel": 20.0, "gyro": 100.0}, 3.0)
     instrument, _ = instruments_of(observations)
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
-    fitted, _ = maximum_with_lags(start_of(problem)[0], MAX_ITERATIONS)
+    fitted, _ = maximum_with_lags(initial_linearisation(problem), MAX_ITERATIONS)
     values = fitted.point.values.copy()
     values[problem.lags["gyro"]] += 200.0
     held = fitted.usual_problem.with_lags(values)
     there = linearise(held, replace(fitted.point, values=values), fitted.linearisation.about)
-    best = maximum(there, fitted.phi).solution.log_posterior
+    best = maximise(there, fitted.phi).solution.log_posterior
     plain = solution_at(there, fitted.hyperparameters, fitted.phi)
-    near, *_ = likeliest_phi(fitted.hyperparameters, plain, fitted.curvature)
+    near, *_ = maximise_phi(fitted.hyperparameters, plain, fitted.curvature)
     assert plain.log_posterior < best - 5.0
     assert best - near.log_posterior < 0.1 * (best - plain.log_posterior)
 
@@ -167,7 +167,7 @@ def test_rows_at_another_lag_are_those_linearised_there() -> None:
     _, observations = warming(1, "25+10@300", {"accel": 20.0, "gyro": 40.0}, 1.0)
     instrument, _ = instruments_of(observations)
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
-    fitted, _ = maximum_with_lags(start_of(problem)[0], MAX_ITERATIONS)
+    fitted, _ = maximum_with_lags(initial_linearisation(problem), MAX_ITERATIONS)
     values = fitted.point.values.copy()
     values[list(problem.lags.values())] += [15.0, 60.0]
     held, about = problem.with_lags(values), fitted.linearisation.about

@@ -10,12 +10,12 @@ import pytest
 
 from tests.support.formula_setup import device_setup
 from tumble.inference.elimination import fold
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, inverse_left_jacobian, linearise
 from tumble.inference.maximum import heading_information
 from tumble.inference.noise import NO_COMPONENTS, VarianceComponents
 from tumble.inference.normal_equations import solve
 from tumble.inference.problem import NO_PRIOR, Point, Prior, Problem, bases
-from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
 from tumble.rotation import rotation_matrix, rotation_vector
@@ -46,7 +46,7 @@ def scenario(axes: Array = TRIAD, seed: int = 1, setup: Setup = SETUP, *, full: 
     return replace(scenario_of(setup, rng), accel=accel, gyro=gyro, truth=truth)
 
 
-def problem_at(chosen: Scenario, off: float, prior: Prior = NO_PRIOR) -> tuple[Problem, Point, TurnsAbout]:
+def problem_at(chosen: Scenario, off: float, prior: Prior = NO_PRIOR) -> tuple[Problem, Point, IntegratedTurns]:
     """A session of it and a point, off the truth in every unknown by about `off` rad and what corresponds."""
     rng = np.random.default_rng(2)
     observations = simulate_observations(chosen, np.random.default_rng(3))
@@ -62,7 +62,7 @@ def problem_at(chosen: Scenario, off: float, prior: Prior = NO_PRIOR) -> tuple[P
         attitudes=attitudes @ rotation_matrix(off * rng.standard_normal((len(attitudes), 3))),
     )
     problem = Problem.of(observations, prior, instrument=instrument, usual=usual_sizes("mems"))
-    return problem, point, TurnsAbout.of(observations, instrument, values)
+    return problem, point, IntegratedTurns.of(observations, instrument, values)
 
 
 def true_attitudes(chosen: Scenario, seed: int) -> Array:
@@ -194,7 +194,7 @@ def test_elimination_is_least_squares(axes: Array, only_programmed: bool) -> Non
         observations = simulate_observations(chosen, np.random.default_rng(3), only_programmed=True)
         assert observations.turns is not None
         problem = Problem.of(observations)
-        about = TurnsAbout.of(observations, problem.instrument, point.values)
+        about = IntegratedTurns.of(observations, problem.instrument, point.values)
         assert np.sum(problem.link < 0) == 6
     rows, scatter = linearise(problem, point, about), VarianceComponents(accel=1e-5, gyro=1e-8, turn=1e-6)
     step = solve(rows, scatter)
@@ -259,7 +259,7 @@ def bound(setup: Setup, only_programmed: bool) -> Array:
     values = np.array([chosen.truth[name] for name in chosen.accel.names + chosen.gyro.names])
     point = Point(values=values, gravity=setup.gravity, attitudes=true_attitudes(chosen, 3))
     problem = Problem.of(observations)
-    rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, values))
+    rows = linearise(problem, point, IntegratedTurns.of(observations, problem.instrument, values))
     variance = np.diag(solve(rows).covariance)[1:]
     return np.sqrt([variance[i:j].mean() for i, j in ((0, 3), (3, 6), (6, 9), (9, 12), (12, 15), (15, 21))])
 

@@ -29,8 +29,7 @@ from tumble.inference.hyperparameters import (
     score,
     solution_at,
 )
-from tumble.inference.integral import conditional
-from tumble.inference.maximum import maximum
+from tumble.inference.maximum import maximise
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import usual_sizes
@@ -66,7 +65,7 @@ def test_likelihood_score_and_estimate_are_those_of_dense_matrices(name: str, se
     start = started(MADE[name](seed))
     if seed == 3:  # biases that are anew at every rest
         start = replace(start, problem=replace(start.problem, bias_after=1.0))
-    fitted = maximum(start, iterations=1)
+    fitted = maximise(start, iterations=1)
     hyperparameters, at = fitted.hyperparameters, fitted.linearisation
     phi, S, q = away_from_bounds(hyperparameters, seed), len(at.problem.parts), len(at.problem.local_u)
     here = solution_at(at, hyperparameters, phi)
@@ -99,14 +98,14 @@ def test_likelihood_score_and_estimate_are_those_of_dense_matrices(name: str, se
     np.testing.assert_allclose((information - expected_information) / np.outer(size, size), 0.0, atol=1e-7)
 
     # the estimate, and that with the biases of the session
-    x, session, shared = np.append(here.local, here.parameters), conditional(here), slice(S * q, None)
+    x, shared = np.append(here.local, here.parameters), slice(S * q, None)
     seen, u = np.diag(found.covariance) > 0.0, np.sqrt(np.maximum(np.diag(found.covariance), 1e-300))
     np.testing.assert_allclose(((x - found.x) / u)[seen], 0.0, atol=1e-9)
     for ours, theirs in (
         (here.covariance, found.covariance[shared, shared]),
-        (session.covariance, found.session_covariance[shared, shared]),
+        (here.session_covariance, found.session_covariance[shared, shared]),
     ):
         size = np.sqrt(np.maximum(np.diag(theirs), 1e-300))
         np.testing.assert_allclose((ours - theirs) / np.outer(size, size), 0.0, atol=1e-9)
-    off = (session.step - found.session_x[shared])[1:]
+    off = (here.session_step - found.session_x[shared])[1:]
     np.testing.assert_allclose(off / np.sqrt(np.diag(found.session_covariance)[shared])[1:], 0.0, atol=1e-9)

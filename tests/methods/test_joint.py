@@ -31,12 +31,12 @@ from tests.support.staged import staged, staged_estimate
 from tumble.diagnosis.verdict import verdict
 from tumble.inference.estimate import Estimate
 from tumble.inference.fits import TOTAL
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.joint import QUICK_STEPS, joint
 from tumble.inference.linearisation import linearise
 from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Prior, Problem
-from tumble.inference.start import start_of
-from tumble.inference.turns_about import TurnsAbout
+from tumble.inference.start import initial_linearisation
 from tumble.planning.setup import Setup
 from tumble.programme.positions import from_attitudes
 from tumble.reduction.blocks.motion_samples import MotionSamples
@@ -94,8 +94,8 @@ def test_rotations_of_the_result_are_those_of_the_turns_integrated_about_it() ->
     found = estimate.linearised
     assert found is not None
     assert estimate.gyro is not None
-    values, changes = found.point.values, found.problem.changed_in_turns(found.point)
-    about = TurnsAbout.of(session, found.problem.instrument, values, changes)
+    values, changes = found.point.values, found.problem.coefficient_changes(found.point)
+    about = IntegratedTurns.of(session, found.problem.instrument, values, changes)
     assert found.rotations == pytest.approx(about.C, abs=3e-6)  # of second order, below the noise of a turn
     assert np.abs(session.turns_about(estimate.gyro).C - about.C).max() > 1e-4
 
@@ -121,9 +121,9 @@ def test_without_gyros_the_accelerometer_parameters_are_those_of_the_first_stage
 def unscattered(session: Observations, found: Estimate) -> Array:
     """Covariance of the parameters at the estimate with the noise within rests alone."""
     problem = Problem.of(session)
-    at, _ = start_of(problem)
+    at = initial_linearisation(problem)
     turned = found.gyro is not None and session.turns is not None
-    about = TurnsAbout.of(session, problem.instrument, found.values) if turned else None
+    about = IntegratedTurns.of(session, problem.instrument, found.values) if turned else None
     rows = linearise(problem, replace(at.point, values=found.values), about)
     return solve(rows).covariance[1:, 1:]
 

@@ -13,11 +13,11 @@ import pytest
 from tests.support.staged import estimate_accelerometers
 from tumble.diagnosis.linear_model import converged_joint, linear_joint, omitted_by_rests, rms_components
 from tumble.inference.estimate import Estimate
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.normal_equations import session_mean_bias, solve
 from tumble.inference.problem import Problem
-from tumble.inference.turns_about import TurnsAbout
 from tumble.methods.ellipsoid import ellipsoid
 from tumble.methods.paper.four_stages import scalar, sequential
 from tumble.planning.setup import Setup
@@ -75,7 +75,7 @@ def test_a_group_left_out_moves_the_fit_by_as_much_as_is_said(observed: Observat
 def with_noise_of(fitted: Linearisation, observations: Observations) -> Array:
     """The parameters of the linear model by the likelihood, with the noise of another fit, from where that is."""
     problem, point = Problem.of(observations, instrument=fitted.problem.instrument, usual={}), fitted.point
-    about = TurnsAbout.of(observations, problem.instrument, point.values)
+    about = IntegratedTurns.of(observations, problem.instrument, point.values)
     solution = solve(replace(linearise(problem, point, about), noise=fitted.noise))
     values = point.values + solution.parameters[1:]
     if solution.equations.wanders:

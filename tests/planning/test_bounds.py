@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from tests.support.formula_setup import bound, bound_of, device_setup
 from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import linearise
 from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Point, Problem
-from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import GROUPS, NAMES, Setup
 from tumble.programme.positions import TRIPLES, Programme, from_attitudes, programme
@@ -154,7 +154,7 @@ def test_the_bound_is_that_of_the_joint_likelihood() -> None:
     expected, observations = bound_of(way_of(TILTED), SETUP).covariance, noiseless(TILTED)
     problem = Problem.of(observations)
     point = Point(values=np.zeros(len(NAMES)), gravity=GRAVITY, attitudes=way_of(TILTED).attitudes)
-    rows = linearise(problem, point, TurnsAbout.of(observations, problem.instrument, point.values))
+    rows = linearise(problem, point, IntegratedTurns.of(observations, problem.instrument, point.values))
     found = solve(rows).covariance[1:, 1:]
     assert off(found, expected) < 2e-5
 

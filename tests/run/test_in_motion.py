@@ -11,10 +11,10 @@ import pytest
 import tumble
 from tests.support.moving import G, Motion, Noise, Recording, record
 from tumble.diagnosis.verdict import unused_quiet_time
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import linearise
 from tumble.inference.problem import Point, Problem, instruments_of
-from tumble.inference.start import start_of
-from tumble.inference.turns_about import TurnsAbout
+from tumble.inference.start import initial_linearisation
 from tumble.recording.arrays import session_of_arrays
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
@@ -122,13 +122,13 @@ def test_rows_of_links_are_derivatives_of_their_residuals() -> None:
     differences, at a point that is not the start, and where what holds the device does not give way."""
     observations = moving()
     problem = Problem.of(observations, instrument=instruments_of(observations)[0], usual=observations.usual)
-    start, rng = start_of(problem)[0], np.random.default_rng(1)
+    start, rng = initial_linearisation(problem), np.random.default_rng(1)
     M, m, q = len(problem.link), len(problem.instrument.names), len(problem.local_u)
     point = start.point.moved(
         np.append(1e-3, 1e-3 * problem.spread * rng.normal(size=m)), 1e-3 * rng.normal(size=(M, 3)),
         np.append(0.03 * rng.normal(size=3), np.zeros(q - 3))[None], 0.1 * rng.normal(size=(M, 3)), np.zeros((M, 3)),
     )  # fmt: skip
-    about = TurnsAbout.of(observations, problem.instrument, point.values)
+    about = IntegratedTurns.of(observations, problem.instrument, point.values)
     rows, n = linearise(problem, point, about), 6
 
     def residuals(at: Point) -> Array:
@@ -172,7 +172,7 @@ def test_a_heading_changes_nothing_where_the_place_is_unknown() -> None:
     observations = moving()
     observations = replace(observations, site=replace(observations.site, latitude=None))
     problem = Problem.of(observations, instrument=instruments_of(observations)[0], usual=observations.usual)
-    here = start_of(problem)[0]
+    here = initial_linearisation(problem)
     turned = here.point.moved(
         np.zeros(1 + len(here.point.values)), np.tile([0.0, 0.0, 0.7], (len(problem.link), 1)),
     )  # fmt: skip
@@ -195,7 +195,7 @@ def test_gyros_that_see_the_earth_in_motion_start_to_the_north(seed: int) -> Non
     observations = observations_for_calibration(inspect_session(session), joint=True)
     assert isinstance(observations, Observations)
     problem = Problem.of(observations, instrument=instruments_of(observations)[0], usual=observations.usual)
-    turned = start_of(problem)[0].point.attitudes[0] @ recording.attitudes[0].T  # about the vertical
+    turned = initial_linearisation(problem).point.attitudes[0] @ recording.attitudes[0].T  # about the vertical
     assert abs(np.arctan2(turned[0, 2], turned[0, 0])) < 0.7
 
 

@@ -19,11 +19,11 @@ from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import diagnostic_solution, projections
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import linearise
 from tumble.inference.normal_equations import solve
-from tumble.inference.problem import OWN, Point, Problem
-from tumble.inference.turns_about import TurnsAbout
+from tumble.inference.problem import SESSION_VARIABLES, Point, Problem
 from tumble.inference.variables import variables_of
 from tumble.planning.setup import Setup
 from tumble.recording.log import open_log
@@ -89,9 +89,9 @@ def together(scenario: Scenario, climates: list[Climate], seed: int = 2) -> Obse
 
 def problem_of(observations: Observations) -> Problem:
     accel, gyro, usual = observations.accel_block, observations.gyro_block, observations.usual
-    instrument = Instrument.of(accel, gyro, usual, set(variables_of(observations)) - set(OWN))
-    every = Instrument.of(accel, gyro, usual, OWN)
-    own = replace(every, further=tuple(group for group in every.further if group.variable in OWN))
+    instrument = Instrument.of(accel, gyro, usual, set(variables_of(observations)) - set(SESSION_VARIABLES))
+    every = Instrument.of(accel, gyro, usual, SESSION_VARIABLES)
+    own = replace(every, further=tuple(group for group in every.further if group.variable in SESSION_VARIABLES))
     return Problem.of(observations, instrument=instrument, local=own, usual=usual)
 
 
@@ -122,7 +122,7 @@ def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences
     problem = problem_of(together(device("mems", SHORT, hysteresis=True), UP_AND_DOWN))
     point = somewhere(problem)
     observations, m = problem.observations, len(point.values)
-    about = TurnsAbout.of(observations, problem.instrument, point.values, problem.changed_in_turns(point))
+    about = IntegratedTurns.of(observations, problem.instrument, point.values, problem.coefficient_changes(point))
     rows = linearise(problem, point, about)
     size = np.concatenate([problem.prior_u[1:], problem.local_u])
     thermal = [i for i, name in enumerate(problem.instrument.names) if name.rpartition(".")[2] in ("t1", "t2")]
@@ -144,7 +144,7 @@ def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences
 
 def dense(problem: Problem, point: Point) -> Array:
     """The covariance of gravity and the parameters by ordinary least squares of everything at once."""
-    rows = linearise(problem, point, TurnsAbout.of(problem.observations, problem.instrument, point.values))
+    rows = linearise(problem, point, IntegratedTurns.of(problem.observations, problem.instrument, point.values))
     W_rest, W_turn, _ = rows.noise.whitening()
     turns = problem.observations.turns
     assert turns is not None
@@ -173,7 +173,7 @@ def test_the_step_is_that_of_everything_at_once() -> None:
     """What is eliminated session by session gives the covariance of ordinary least squares, and its estimates."""
     problem = problem_of(together(device("mems", SHORT, hysteresis=True), UP_AND_DOWN))
     point = somewhere(problem)
-    rows = linearise(problem, point, TurnsAbout.of(problem.observations, problem.instrument, point.values))
+    rows = linearise(problem, point, IntegratedTurns.of(problem.observations, problem.instrument, point.values))
     step = solve(rows)
     S, q = step.local.shape
     expected = dense(problem, point)

@@ -34,7 +34,7 @@ from pathlib import Path
 import numpy as np
 
 from tumble.earth import EARTH_RATE
-from tumble.inference.estimate import SEEN, Estimate, Fit
+from tumble.inference.estimate import UNOBSERVABLE_SHARE, Estimate, Fit
 from tumble.methods.least_squares import (
     MAX_ITERATIONS,
     SCATTER_ROUNDS,
@@ -125,7 +125,7 @@ def staged(observations: Observations) -> Estimate:
         units=units_of(block.names),
         values=accel.values,
         covariance=accel.covariance,
-        observable=np.sqrt((accel.solution.null**2).sum(axis=0)) < SEEN,
+        observable=np.sqrt((accel.solution.null**2).sum(axis=0)) < UNOBSERVABLE_SHARE,
         null=accel.solution.null,
         accel=accel.model,
         gyro=None,
@@ -368,7 +368,7 @@ def _with_gyros(estimate: Estimate, accel: Accelerometers, observations: Observa
         units=units_of(names),
         values=np.concatenate([accel.values, values]),
         covariance=np.block([[accel.covariance, by_accel.T], [by_accel, solution.covariance]]),
-        observable=np.concatenate([estimate.observable, np.sqrt((solution.null**2).sum(axis=0)) < SEEN]),
+        observable=np.concatenate([estimate.observable, np.sqrt((solution.null**2).sum(axis=0)) < UNOBSERVABLE_SHARE]),
         null=np.vstack([np.pad(estimate.null, ((0, 0), (0, n))), np.pad(solution.null, ((0, 0), (m, 0)))]),
         gyro=block.model(values),
         rest_sigmas=np.maximum(accel.sigmas, rests),

@@ -23,10 +23,10 @@ from tumble.campaigns.engine import Row
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import linearise
 from tumble.inference.problem import Point, Problem
-from tumble.inference.turns_about import TurnsAbout
 from tumble.planning.bounds import bound_by, components_of
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
@@ -92,7 +92,7 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
     """
     instrument, truth = scenario.instrument, scenario.values
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
-    about = TurnsAbout.of(observations, instrument, truth)
+    about = IntegratedTurns.of(observations, instrument, truth)
     point = Point(values=truth, gravity=scenario.setup.gravity, attitudes=attitudes)
     linearisation = linearise(problem, point, about, components_of(scenario.setup.noise))
     bounds = bound_by(linearisation, scenario.setup.turn_rate)

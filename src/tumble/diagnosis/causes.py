@@ -19,10 +19,10 @@ from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, with_unit
 from tumble.diagnosis.linearised_session import PATH_STEPS, SHORTEST_TURN, LinearisedSession
 from tumble.diagnosis.projection import FALSE_ALARMS, Projection, approximate_drops, projections
 from tumble.earth import earth_rate
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import VarianceComponents
 from tumble.inference.normal_equations import Solution
-from tumble.inference.turns_about import TurnsAbout
 from tumble.rotation import skew
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block, SensorKind
@@ -236,7 +236,7 @@ def jumps(session: LinearisedSession, noise_only: Solution) -> Iterator[Candidat
         )
 
 
-def shifts(session: LinearisedSession, about: TurnsAbout, gyro: Block) -> Iterator[Candidate]:
+def shifts(session: LinearisedSession, about: IntegratedTurns, gyro: Block) -> Iterator[Candidate]:
     """Yield rotations of the gyros against the accelerometers by a small angle δ, as on a loose board.
 
     For a gyro of axis a, ∂K/∂δ = a × δ for the rates after the place of the shift."""
@@ -334,7 +334,7 @@ def products(session: LinearisedSession) -> Iterator[Candidate]:
         )
 
 
-def gyro_nonlinearity(session: LinearisedSession, about: TurnsAbout, gyro: Block) -> Candidate:
+def gyro_nonlinearity(session: LinearisedSession, about: IntegratedTurns, gyro: Block) -> Candidate:
     """Return scale factors of gyros that vary with the square of the rate."""
     duration = np.maximum(about.moments.T, SHORTEST_TURN)[:, None]
     square = about.moments.body_rates[:, [0, 3, 5]] / duration @ (gyro.axes**2).T

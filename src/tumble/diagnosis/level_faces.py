@@ -71,7 +71,7 @@ def with_common_tilt(estimate: Estimate, observations: Observations) -> Estimate
             "linear, which faces do not tell apart; u has both, and oblique positions, such as edges, would tell"
         )
         if budget is not None:
-            budget = budget.beside(source("tilt", abs(mean), "rad"), np.outer(error, error))
+            budget = budget.with_source(source("tilt", abs(mean), "rad"), np.outer(error, error))
         remarks = (*estimate.remarks, remark)
         estimate = replace(estimate, covariance=covariance, observable=observable, budget=budget, remarks=remarks)
     return estimate

@@ -29,6 +29,7 @@ import numpy as np
 
 from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.estimate import Estimate, GroupFinding
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import SCATTER, VarianceComponents
@@ -36,8 +37,7 @@ from tumble.inference.normal_equations import solve
 from tumble.inference.prediction import prediction
 from tumble.inference.problem import Problem, instruments_of
 from tumble.inference.sources import source
-from tumble.inference.start import start_of
-from tumble.inference.turns_about import TurnsAbout
+from tumble.inference.start import initial_linearisation
 from tumble.inference.uncertainty_budget import contributions
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -116,8 +116,8 @@ def omitted_by_rests(
     force = g * unit_vector(block.model(linear).apply(seen.rests.accel))
     beta, D = functions(block, force, np.zeros_like(force)), instrument.derivative(block, values)
     changes = np.einsum("ipb,pbm->ipm", beta, D)
-    changing, base = problem.changed
-    changes[:, :, changing] = changes[:, :, base] * problem.goes[0][:, None]
+    changing, base = problem.change_columns
+    changes[:, :, changing] = changes[:, :, base] * problem.regressors[0][:, None]
     across = tilt_null_space(instrument.coefficients(block, values)[:, FORCE], force / g)
     rows = np.einsum("ipr,ipm->irm", across, changes).reshape(-1, len(values))
     if sigma is not None:
@@ -133,7 +133,7 @@ def group_columns(observations: Observations) -> tuple[Problem, Array]:
     The data are the readings of accelerometers and gyros at rest (those of triads in body axes), the errors of turns,
     the integrals over them of the readings of more than three gyros, and gravity."""
     problem = whole_problem(observations)
-    rows, first, columns, last = start_of(problem)[0], problem.instrument.linear_count, list[Array](), 0
+    rows, first, columns, last = initial_linearisation(problem), problem.instrument.linear_count, list[Array](), 0
     for block in problem.instrument.blocks:
         of_rests = rows.rest[:, last : last + block.size, 4 + first : -1]
         columns.append(block.axes.T @ of_rests if block.triad else of_rests)
@@ -156,7 +156,7 @@ def linear_joint(observations: Observations) -> Estimate:
     assert linear is not None
     values = np.append(linear.point.values, np.zeros(len(instrument.names) - instrument.linear_count))
     point = replace(linear.point, values=values)
-    about = None if linear.about is None else TurnsAbout.of(observations, instrument, values)
+    about = None if linear.about is None else IntegratedTurns.of(observations, instrument, values)
     shift = shift_by_likelihood(replace(linearise(problem, point, about), noise=linear.noise))
     if full is not None and estimate.converged:
         assert full.budget is not None
@@ -227,7 +227,7 @@ def with_omitted_groups(estimate: Estimate, problem: Problem, shift: Array, size
         for name, own in members.items():
             by_group = np.vstack([-shifted, np.diag(sizes)])[:, own]
             prior = source(f"prior.{name}", float(sizes[own.start]), instrument.units[first + own.start])
-            budget = budget.beside(prior, by_group @ by_group.T)
+            budget = budget.with_source(prior, by_group @ by_group.T)
     rate = None if estimate.prediction is None else estimate.prediction.at_rate
     return replace(
         estimate,

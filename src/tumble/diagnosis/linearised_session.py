@@ -22,7 +22,7 @@ class LinearisedSession:
 
     def __init__(self, linearised: Linearisation) -> None:
         self.linearised = linearised
-        self.problem = linearised.problem.warmed(linearised.point)
+        self.problem = linearised.problem.with_lags_at(linearised.point)
         self.observations = self.problem.observations
         L = linearised.point.attitudes
         self.force = linearised.point.gravity * L[:, 1]  # (N, 3), in the body at rest

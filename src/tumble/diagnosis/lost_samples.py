@@ -22,10 +22,10 @@ import numpy as np
 from tumble.diagnosis.causes import Candidate, Cause
 from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
 from tumble.diagnosis.projection import SumOfSquares, approximate_drops, diagnostic_solution
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import SCATTER, VarianceComponents
 from tumble.inference.normal_equations import Solution
-from tumble.inference.turns_about import TurnsAbout
 from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
@@ -101,7 +101,7 @@ def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list
     ]
 
 
-def _turn_axes(about: TurnsAbout, turns: slice) -> Array:
+def _turn_axes(about: IntegratedTurns, turns: slice) -> Array:
     """Return the axis (K, 3) of each turn, zero where nothing turned."""
     path = np.einsum("kipp->ki", about.moments.Phi[turns][..., RATE])
     return np.asarray(path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9))

@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from tumble.inference.estimate import SEEN
+from tumble.inference.estimate import UNOBSERVABLE_SHARE
 from tumble.reduction.rests.rests import sphere_through
 from tumble.sensors.model import Block, tilt_null_space
 from tumble.sensors.parameters import within_kind
@@ -124,11 +124,11 @@ def most_informative(null: Array, candidates: Mapping[str, Array]) -> tuple[list
     """Return the names of candidates with rows (r, m) that together determine the combinations `null` (q, m), and the
     number of combinations that none determines; each time the one that sees most of the remaining is chosen."""
     chosen: list[str] = []
-    remaining = null[np.linalg.norm(null, axis=1) > SEEN]
+    remaining = null[np.linalg.norm(null, axis=1) > UNOBSERVABLE_SHARE]
     while len(remaining):
         name = max(candidates, key=lambda name: float(np.linalg.norm(remaining @ candidates[name].T)))
         U, s, _ = np.linalg.svd(remaining @ candidates[name].T)
-        seen = int(np.sum(s > SEEN * np.linalg.norm(candidates[name])))
+        seen = int(np.sum(s > UNOBSERVABLE_SHARE * np.linalg.norm(candidates[name])))
         if seen == 0:
             break
         chosen.append(name)

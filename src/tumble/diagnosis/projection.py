@@ -111,7 +111,7 @@ def projections(
     rows = _diagnostic_rows(linearised).with_components(components)
     problem, noise = rows.problem, rows.noise
     q, c, p, m = len(problem.local_u), rest.shape[2], len(rows.prior) - 1, len(problem.instrument.names)
-    rows = rows.beside(rest, turn)
+    rows = rows.with_columns(rest, turn)
     equations = eliminate_rests(rows)
     of_sessions = zip(equations.session_factors, rows.local_prior, strict=True)
     triangles = [with_local_prior(problem.local_u, *each)[q:, q:] for each in of_sessions]
@@ -205,7 +205,7 @@ def _with_north_rates(rows: Linearisation) -> Linearisation:
     of_single = rest * (unknown & single)[problem.chain][:, None]
     chains = np.flatnonzero(unknown & ~single)
     own = problem.chain[:, None] == chains
-    wide = rows.beside(rest[:, :, None] * own[:, None], turn[:, :, None] * own[problem.before_turn][:, None])
+    wide = rows.with_columns(rest[:, :, None] * own[:, None], turn[:, :, None] * own[problem.before_turn][:, None])
     added = np.arange(len(rows.prior) - 1, len(wide.prior) - 1)
     wide.prior[added, added] = 1.0
     return replace(wide, noise=replace(noise, rest=noise.rest + of_single[:, :, None] * of_single[:, None]))

@@ -14,7 +14,7 @@ from tumble.diagnosis.projection import FALSE_ALARMS
 from tumble.diagnosis.undetermined import faces_alone, linear_names, six_faces, uncertain_gravity, undetermined
 from tumble.earth import normal_gravity
 from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
-from tumble.inference.integral import rough
+from tumble.inference.integral import is_poorly_sampled
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation
@@ -74,7 +74,7 @@ def verdict(
     findings += [finding for finding in weak if not finding.refuses]
     findings += [*_not_fitting(estimate, observations), *_impossible_bias(estimate), *map(remark, estimate.remarks)]
     findings += _residual_findings(estimate, missing, search)
-    if estimate.integral is not None and rough(estimate.integral):
+    if estimate.integral is not None and is_poorly_sampled(estimate.integral):
         findings.append(
             remark(
                 "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"

@@ -1,1 +1,1 @@
-"""Maximum likelihood over everything a session contains, and over what the model does not know about itself."""
+"""Likelihood of a session, its joint maximum, and the posterior integrated over the hyperparameters."""

@@ -1,7 +1,7 @@
-"""What every method returns.
+"""Result types of all methods.
 
-An `Estimate` always comes back: when the data do not determine a parameter it has no value, and the outcome
-names it; when they do not fit, the outcome says which rest or turn, and by how much.
+A method always returns an `Estimate`. A parameter that the data do not determine has no value and is named in the
+outcome; if data do not fit, the outcome names the rest or turn and its distance from the fit.
 """
 
 from __future__ import annotations
@@ -25,18 +25,12 @@ if TYPE_CHECKING:
     from tumble.inference.linearisation import Linearisation
     from tumble.inference.magnetic_estimate import MagnetometerEstimate
 
+# Limit of a parameter over its u from which it is determined. One that is less well known drifts while the estimate is
+# iterated, and changes others.
 DETERMINED = 10.0
-"""How many times better than the spreads the data must know a combination of parameters for it to count as seen. One
-that is hardly better known wanders while the estimate is iterated, and takes the others with it."""
-
-SEEN = 1e-3
-"""A parameter is unobservable when more than this part of it (in units of its spread) is in the null space."""
-
-FIT_SIGMAS = 5.0
-"""A rest or turn further than this from the fit does not fit."""
-
-KEPT = 1e-3
-"""Learned fraction from which a session, or a programme, says anything of a group."""
+UNOBSERVABLE_SHARE = 1e-3  # part of a parameter in the null space, in units of its spread, that makes it unobservable
+FIT_SIGMAS = 5.0  # distance from the fit beyond which a rest or turn does not fit
+KEPT = 1e-3  # learned fraction from which a session has information on a group
 
 
 Verdict = Literal["accepted", "accepted with scatter", "not accepted"]
@@ -44,8 +38,9 @@ Verdict = Literal["accepted", "accepted with scatter", "not accepted"]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Judgement:
-    """Whether a result can be used: `reasons` against it, `remarks` on residuals that the noise does not explain, each
-    a sentence with cause and remedy."""
+    """Judgement on the use of a result.
+
+    `reasons` against its use and `remarks` on residuals beyond the noise are sentences with cause and remedy."""
 
     json_fields: ClassVar[tuple[str, ...]] = ("verdict", "reasons", "remarks")
 
@@ -54,27 +49,28 @@ class Judgement:
 
     @property
     def verdict(self) -> Verdict:
-        """Not accepted where there is a reason, with scatter where there is a remark."""
+        """Verdict: not accepted if there is a reason, accepted with scatter if there is a remark."""
         if self.reasons:
             return "not accepted"
         return "accepted with scatter" if self.remarks else "accepted"
 
     @property
     def accepted(self) -> bool:
-        """No reason against it."""
+        """True if there is no reason against it."""
         return not self.reasons
 
     def __bool__(self) -> bool:
-        """Whether it is accepted."""
+        """Return `accepted`."""
         return self.accepted
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Outcome(Judgement):
-    """Whether an estimate can be used, and if not, why. `reasons` and `remarks` are all there are; those that do not
-    concern everything have in `concerns` the kinds of sensors ("gyro") or groups of parameters ("gyro.bias") that they
-    do: good accelerometers are not lost to bad gyros, and good scale factors not to bad biases. Of a verdict those at
-    fault come first."""
+    """Judgement on an estimate as a whole and by kind of sensor and group of parameters.
+
+    `reasons` and `remarks` are all sentences, with the sensors at fault first. `concerns` has the kinds of sensors
+    ("gyro") or groups of parameters ("gyro.bias") of a sentence that does not concern the whole estimate, so that
+    accelerometers remain usable with bad gyros, and scale factors with bad biases."""
 
     json_fields = ("accepted", "verdict", "reasons", "remarks", "unobservable", "concerns", "accel", "gyro", "groups")
 
@@ -83,40 +79,43 @@ class Outcome(Judgement):
 
     @property
     def accel(self) -> Judgement:
-        """Whether the accelerometers can be used."""
+        """Judgement on the accelerometers."""
         return self.of("accel")
 
     @property
     def gyro(self) -> Judgement:
-        """Whether the gyros can be used."""
+        """Judgement on the gyros."""
         return self.of("gyro")
 
     def of(self, part: str) -> Judgement:
-        """Whether a kind of sensors or a group of their parameters can be used: a group is what its kind is where a
-        sentence concerns the kind, and a kind where one concerns a group of it."""
+        """Return the judgement on a kind of sensors or a group of parameters.
 
-        def concerned(sentence: str) -> bool:
+        A sentence on a kind concerns all its groups, and a sentence on a group its kind."""
+
+        def concerns(sentence: str) -> bool:
             parts = self.concerns.get(sentence, (part,))
-            return any(f"{part}.".startswith(f"{each}.") or each.startswith(f"{part}.") for each in parts)
+            return any(f"{part}.".startswith(f"{other}.") or other.startswith(f"{part}.") for other in parts)
 
-        return Judgement(reasons=tuple(filter(concerned, self.reasons)), remarks=tuple(filter(concerned, self.remarks)))
+        return Judgement(reasons=tuple(filter(concerns, self.reasons)), remarks=tuple(filter(concerns, self.remarks)))
 
     @property
     def groups(self) -> dict[str, Judgement]:
-        """The groups of the linear model that are judged otherwise than their kind of sensors."""
-        judged = ((group.name, self.of(group.kind), self.of(group.name)) for group in LINEAR)
-        return {name: of_group for name, of_kind, of_group in judged if of_group != of_kind}
+        """Judgements on groups of the linear model that differ from those on their kind of sensors."""
+        judged = {group.name: (self.of(group.name), self.of(group.kind)) for group in LINEAR}
+        return {name: by_group for name, (by_group, by_kind) in judged.items() if by_group != by_kind}
 
 
 def chance_of(chi_square: float, degrees: float) -> float:
-    """Probability that chance alone exceeds a chi-square of so many degrees of freedom."""
+    """Return the probability that chi-square exceeds a value by chance; 1 without degrees of freedom."""
     return float(scipy.special.chdtrc(degrees, chi_square)) if degrees > 0.0 else 1.0
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Fit:
-    """Chi-square of a group of residuals with its degrees of freedom and the scatter (SI) that was added to the
-    noise within rests to explain it; `unit` is m/s^2, rad/s or rad."""
+    """Chi-square of a group of residuals.
+
+    `degrees` of freedom may be fractional; `scatter` is the standard deviation, in `unit`, that was added to the noise
+    within rests."""
 
     json_fields: ClassVar = ("chi_square", "degrees", "probability", "scatter", "unit")
 
@@ -127,15 +126,16 @@ class Fit:
 
     @property
     def probability(self) -> float:
-        """Probability that chance alone exceeds this chi-square."""
+        """Probability of a larger chi-square by chance."""
         return chance_of(self.chi_square, self.degrees)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class GroupFinding:
-    """A group of parameters beyond the linear model: whether the session says anything of it (`kept`), the standard
-    deviation of its prior, SI, how many times that had to be widened (`prior_widened`), and the `learned` fraction
-    1 − u²/s² of each parameter, s being the widened prior."""
+    """Information of a session on a group of parameters beyond the linear model.
+
+    `kept` is True if there is any, `prior` the usual prior standard deviation, SI, `prior_widened` its factor at the
+    maximum, and `learned` the fraction 1 − u²/s² of each parameter, s being the widened standard deviation."""
 
     name: str
     kept: bool
@@ -145,7 +145,7 @@ class GroupFinding:
 
     @staticmethod
     def of(name: str, usual: Array, size: Array, variance: Array) -> GroupFinding:
-        """Of a group whose parameters (k,) have these variances beside a prior of a size, where another is usual."""
+        """Return the finding on parameters (k,) with these variances, prior standard deviations and usual ones."""
         learned = np.clip(1.0 - variance / size**2, 0.0, 1.0)
         return GroupFinding(
             name=name,
@@ -158,8 +158,7 @@ class GroupFinding:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class OwnEstimate:
-    """What each of several sessions has of its own: names and SI units (q,), values and standard uncertainties (S, q),
-    and the priors (q,), as widened."""
+    """Parameters of each of several sessions: names and SI units (q,), values and u (S, q), and widened priors (q,)."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -170,8 +169,8 @@ class OwnEstimate:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HyperparameterEstimate:
-    """What the session says of something that the model does not know about itself: name, SI unit and words, the value
-    and the limits of its middle 68 %, and the usual value, about which its prior is."""
+    """Estimate of a hyperparameter: median, limits of the middle 68 %, and the usual value, about which its prior
+    is."""
 
     name: str
     unit: str
@@ -183,15 +182,16 @@ class HyperparameterEstimate:
 
     @property
     def root_mean_square(self) -> float:
-        """About the root of the mean of its square over the posterior, by the three values."""
+        """Approximate root mean square over the posterior, from the three values."""
         return float(np.sqrt((self.low**2 + self.value**2 + self.high**2) / 3.0))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Integral:
-    """How the posterior was integrated over the hyperparameters: at how many points, their effective number, the shape
-    of the Pareto distribution of their weights, and the largest relative error of a u by the points, estimated from two
-    independent sets of them."""
+    """Quality of the integral over the hyperparameters.
+
+    Number of points, their effective number, the shape of the Pareto distribution of their weights, and the largest
+    sampling error of a u, relative, or of a value, in u, from two independent sets of points."""
 
     points: int
     effective: float
@@ -201,8 +201,9 @@ class Integral:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ProcessBias:
-    """The bias of a sensor as the mean of its process, about which that of the next minute or of another day is: its
-    value and standard uncertainty, SI, and u of the bias that is met next, the process's own spread included."""
+    """Bias of a sensor as the mean of its in-run process, SI.
+
+    `u` is that of the mean, `next_u` that of a prediction of the bias at another time, which includes the process."""
 
     name: str
     value: float
@@ -212,8 +213,7 @@ class ProcessBias:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Omitted:
-    """What was left out because it does not fit: rests by their accelerometers (N,), by their gyros (N,), and turns
-    (K,)."""
+    """Outliers left out: rests by their accelerometers (N,), rests by their gyros (N,), and turns (K,)."""
 
     accel: BoolArray
     gyro: BoolArray
@@ -221,17 +221,63 @@ class Omitted:
 
     @property
     def any(self) -> bool:
-        """Whether something was."""
+        """True if there are any."""
         return bool(self.accel.any() or self.gyro.any() or self.turn.any())
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Estimate(Brief):
-    """Parameter values with covariance in the order of `names`; `observable` marks those the data determine, and
-    only these mean anything; `null` (q, m) are the combinations they do not, in units of the spreads.
-    `converged` says whether the last step was negligible. `rest_residual` (N,) is |corrected reading| − g, m/s²;
-    `rest_sigmas` and `turn_sigmas` say how far each rest and turn is from the fit. `increments` are the parameter
-    changes of each iteration, `fits` the chi-squares by what they judge."""
+    """Parameter values with covariance, and the evidence for them.
+
+    Parameters
+    ----------
+    method, names, units
+        Name of the method, and names and SI units of the parameters.
+    values, covariance : (m,) and (m, m)
+        Parameters and their covariance.
+    observable, null : (m,) and (q, m)
+        True for parameters that the data determine, the only ones with a meaningful value; and the combinations that
+        they do not determine, in units of the spreads.
+    accel, gyro
+        Models of the sensors.
+    rest_residual : (N,)
+        |corrected reading| − g at each rest, m/s².
+    rest_sigmas, gyro_rest_sigmas, turn_sigmas : (N,), (N,) and (K,)
+        Distances from the fit of each rest, of its gyros alone (empty if not judged), and of each turn, as Gaussian
+        sigmas.
+    increments
+        Steps of the parameters in each iteration.
+    fits
+        Chi-squares by group of residuals.
+    converged
+        True if the last step was negligible.
+    reasons, remarks
+        Sentences of the method against the result, and on residuals beyond the noise.
+    instrument
+        Instrument of the parameters, if it has groups beyond the linear model.
+    groups
+        Findings on these groups.
+    degrees : (m,)
+        Degrees of freedom of the u of the parameters, if the method computes them.
+    prediction
+        Uncertainty of corrected readings.
+    linearised
+        Linearisation at the estimate, or for methods without a likelihood that by which they are judged.
+    own
+        Parameters of each of several sessions.
+    hyperparameters, integral
+        Estimates of the hyperparameters, and quality of the integral over them.
+    of_type
+        Standard deviations, SI, of the prior from other units of the type, by parameter.
+    process_bias
+        Biases as means of their processes, while the parameters are means over the session.
+    budget
+        Covariance by source.
+    magnetometer
+        Estimate of a magnetometer, or why there is none; None without one.
+    left_out
+        Outliers left out, if the method does so.
+    """
 
     method: str
     names: tuple[str, ...]
@@ -249,41 +295,26 @@ class Estimate(Brief):
     fits: Mapping[str, Fit]
     converged: bool
     reasons: tuple[str, ...] = ()
-    """What the method itself has against the result."""
     remarks: tuple[str, ...] = ()
-    """What it says of residuals that the noise does not explain."""
     instrument: Instrument | None = None
-    """The instrument whose parameters these are, where it has groups beyond the linear model."""
     groups: tuple[GroupFinding, ...] = ()
     degrees: Array | None = None
-    """Degrees of freedom (m,) behind the u of the parameters, where the method knows them."""
     prediction: Prediction | None = None
-    """What corrected readings are known to."""
     gyro_rest_sigmas: Array = field(default_factory=lambda: np.empty(0))
-    """How far the gyros alone are from the fit at each rest (N,); empty where the method does not judge them."""
     linearised: Linearisation | None = None
-    """The likelihood about the estimate, or where the method has none, that by which it is judged."""
     own: OwnEstimate | None = None
-    """Of several sessions, what each has of its own."""
     hyperparameters: tuple[HyperparameterEstimate, ...] = ()
-    """What the model did not know about itself."""
     of_type: Mapping[str, float] = field(default_factory=dict)
-    """Standard deviation, SI, of what other units of the type of the device say of parameters, by name."""
     integral: Integral | None = None
-    """How that was integrated over."""
     process_bias: tuple[ProcessBias, ...] = ()
-    """The biases as the means of their processes; the parameters are those of the session."""
     budget: UncertaintyBudget | None = None
-    """The covariance by source."""
     magnetometer: MagnetometerEstimate | str | None = None
-    """What it says of a magnetometer, or why that is not in it; None without one."""
     left_out: Omitted | None = None
-    """What was left out because it does not fit, where the method leaves out."""
 
     @property
     def unobservable(self) -> tuple[str, ...]:
-        """Names of the parameters the data do not determine."""
-        return tuple(name for name, seen in zip(self.names, self.observable, strict=True) if not seen)
+        """Names of the parameters that the data do not determine."""
+        return tuple(name for name, observable in zip(self.names, self.observable, strict=True) if not observable)
 
     @property
     def u(self) -> Array:

@@ -1,36 +1,35 @@
-"""What the model does not know about itself: the hyperparameters φ, their priors, and the score of each.
+"""Hyperparameters φ of the model, their priors, and the gradient and average information of ℓ(φ).
 
-| φ | what | prior |
+| φ | quantity | prior |
 |---|---|---|
-| ln σ of a component of scatter | rests | σ exponential, its mean m the noise it stands beside |
+| ln σ of a component of variance | rests | σ exponential, with the noise it is added to, m, as mean |
 | | turns, velocities …, magnetometer | σ of density m/(m + σ)² |
-| ln σ_b, ln τ_b of a kind | in-run bias, a Gauss–Markov process | log-normal about the grade's size and 300 s, ÷× 30 |
-| ln σ_p, ln τ_p | displacement of a device in motion, a Gauss–Markov process | log-normal about 2 cm and 0.5 s |
-| p of a sensor | its scatter and in-run bias are exp(max(p, 0)) times those of its kind | N(0, ln 3) |
-| p of a group | its size is exp(max(p, 0)) times the usual one | N(0, ln k) |
+| ln σ_b, ln τ_b of a kind of sensor | in-run bias, a Gauss–Markov process | log-normal about grade and 300 s, ÷× 30 |
+| ln σ_p, ln τ_p | displacement of a moving device, a Gauss–Markov process | log-normal about 2 cm and 0.5 s |
+| p of a sensor | factor exp(max(p, 0)) on its scatter and in-run bias over those of its kind | N(0, ln 3) |
+| p of a group of parameters | factor exp(max(p, 0)) on its usual size | N(0, ln k) |
 
-Of a device that lies still while it warms ÷× 5 takes the place of ÷× 30, nothing scatters from one part of the rest to
-the next, and sensors of a kind are alike.
+For a device that lies still while it warms up, ÷× 30 is ÷× 5, there is no scatter from one part of the rest to the
+next, and all sensors of a kind are alike.
 
-A component of scatter may be small, and is never excluded: no test decides whether it is there. That of
-turns falls by a power: with an exponential one turns that are spoilt a hundred times their noise are so unlikely that
-sound accelerometers take the blame. With λ = exp(max(p, 0))
-half of the prior says that the sheet holds, the other half that it is too small by a factor of the order k: 2 for a
-data sheet, 3 for a grade that is stated, 10 for one that is guessed where the next poorer grade has a larger
-size. A prior is never narrowed.
+Components of variance may become small but no test excludes them. The prior of those of turns falls off as a power:
+with an exponential one, turns spoilt by a hundred times their noise are so unlikely that sound accelerometers are
+blamed. With λ = exp(max(p, 0)), half of the prior probability says that the usual size holds, and half that it is too
+small by a factor of the order k: 2 for a data sheet, 3 for a stated grade, 10 for a guessed grade if the next poorer
+grade has a larger size. A size is never reduced.
 
-The score. All but the correlation times are variances v of rows: of rests, of turns, of the steps of a process, of
-priors. With D = ∂V/∂v, P the projector onto residuals and r = y − X x̂, by ln σ, σ² = v (24) to (26),
+Gradient. All hyperparameters but the correlation times are variances v of rows: of rests, of turns, of the steps of a
+process, or of priors. With D = ∂V/∂v, P the projection onto residuals and r = y − X x̂, for ln σ with σ² = v, (24) to
+(26),
 
     ∂ℓ/∂ln σ = v (rᵀPDPr − tr PD)
 
-For rows of a prior or of a step of unit variance, v rᵀPDPr is the sum of the squares of their residuals, v tr PD that
-of 1 − Var e, what the data say of them. Of the correlation time, with e_k the steps over √(1 − ρ²), by Fisher's
-identity (25)
+For rows of a prior or of a step, with unit variance, v rᵀPDPr is the sum of their squared residuals e and v tr PD the
+sum of 1 − Var e. For a correlation time, with e_k the steps divided by √(1 − ρ²), Fisher's identity (25) gives
 
     ∂ℓ/∂ln τ = Σ ρ Δt/τ · (E[(β_{k+1} − ρ β_k) β_k] + ρ (1 − E e²)) / (1 − ρ²)
 
-Adding a hyperparameter is adding a class of `Hyperparameter` and an entry in `hyperparameters_of`.
+To add a hyperparameter, add a subclass of `Hyperparameter` and an entry in `hyperparameters_of`.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tumble.inference.elimination import along_chains, eliminate, fold
+from tumble.inference.elimination import eliminate, fold, recur_backwards
 from tumble.inference.elimination_kernels import scatter_forms, state_forms
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import (
@@ -66,102 +65,96 @@ from tumble.inference.normal_equations import (
     station_rows,
 )
 from tumble.inference.problem import Problem
-from tumble.inference.variables import at_two_temperatures, both_ways
+from tumble.inference.variables import at_two_temperatures, ramps_up_and_down
 from tumble.sensors.parameters import group_of, next_poorer_grade, prior_sizes, variable_of
 from tumble.units import Array, BoolArray, IntArray
 
+# Prior standard deviation of ln σ_b and ln τ_b: 90 % within ÷× 30, so that the process can follow a drift, which has no
+# parameters. With ÷× 5, biases of a BMI160 that move by 4 mg in 237 s changed its scale factors.
 IN_RUN_WITHIN = float(np.log(30.0) / 1.645)
-"""Standard deviation of the logarithms of its size and of its correlation time about the usual ones: nine of ten are
-within ÷× 30. It is wide enough for the process to take a drift, of which there is no group beside it: with ÷× 5 the
-biases of a BMI160 that move by 4 mg in 237 s went into its scale factors."""
+# The same for a device that lies still, whose drift with temperature has parameters: 90 % of a grade within ÷× 5.
 UNDISTURBED_WITHIN = float(np.log(5.0) / 1.645)
-"""The same of a device that lies still, whose drift with temperature has parameters: ÷× 5, as instruments of a grade
-differ."""
+# Factor by which a usual size may be too small, from a data sheet, a stated grade, or a guessed grade.
 SHEET, STATED, GUESSED = 2.0, 3.0, 10.0
-"""The factor by which a usual size may be too small where it is from a data sheet, from a grade that is stated, or from
-one that is guessed."""
-UNLIKE = 3.0
-"""The same of the scatter and the in-run bias of a sensor, over those of the others of its kind."""
+UNLIKE = 3.0  # the same for the scatter and in-run bias of a sensor, relative to others of its kind
+# Residual degrees of freedom below which a component of variance is not estimated; it would be divided by rounding.
 LEAST_DEGREES = 0.5
-"""Of freedom: a component of scatter of which the fit leaves less is not estimated. It is by what is left of it, in the
-end by rounding, that its variance would be divided."""
 
 
-# -------------------- components --------------------
+Members = slice | IntArray
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hyperparameter:
-    """An element of φ: its name, unit and words, its usual value, SI, about which its prior is, and the standard
-    deviation `within` of that in the logarithm; `members` are the sensors or parameters that it concerns. Subclasses
-    say what it is."""
+    """Element of φ.
+
+    `usual` is the quantity, SI, about which the prior is, `within` its standard deviation in the logarithm, and
+    `members` the components, sensors, states or parameters concerned. If `bounded`, it is p of λ = exp(max(p, 0))."""
 
     bounded: ClassVar[bool] = False
-    """Whether values below zero are those at zero: p of λ = exp(max(p, 0))."""
 
     name: str
     unit: str
     words: str
     usual: float
     within: float = 0.0
-    members: slice | IntArray = field(default_factory=lambda: slice(None))
+    members: Members = field(default_factory=lambda: slice(None))
 
     @property
     def centre(self) -> float:
-        """The most likely φ by the prior alone."""
+        """Centre of the prior of φ."""
         return 0.0 if self.bounded else float(np.log(self.usual))
 
     def value(self, phi: Any) -> Any:
-        """The quantity, SI."""
+        """Return the quantity, SI, at φ."""
         return np.exp(np.maximum(phi, 0.0) if self.bounded else phi)
 
     def log_prior(self, phi: Array) -> Array:
-        """The logarithm of its prior density less a constant, its derivative, and the curvature of its negative (3, …)
-        at values (…) of it alone."""
+        """Return `Hyperparameters.log_prior` (3, …) of this element alone, at values (…)."""
         return Hyperparameters((self,)).log_prior(phi[..., None])[..., 0]
 
 
 class Scatter(Hyperparameter):
-    """ln σ of a component of scatter."""
+    """ln σ of a component of variance in `SCATTER`."""
 
     __slots__ = ()
 
 
 class InRunSize(Hyperparameter):
-    """ln σ_b of a kind of sensors."""
+    """ln σ of a Gauss–Markov process: in-run bias of a kind of sensor, or displacement."""
 
     __slots__ = ()
 
 
 class CorrelationTime(Hyperparameter):
-    """ln τ_b of a kind of sensors."""
+    """ln τ of a Gauss–Markov process."""
 
     __slots__ = ()
 
 
 class SensorFactor(Hyperparameter):
-    """p of the scatter at rest and the in-run bias of a sensor over those of its kind."""
+    """p of the factor on scatter at rest and in-run bias of one sensor."""
 
     __slots__ = ()
     bounded = True
 
 
 class GroupSize(Hyperparameter):
-    """p of the size of a group of parameters."""
+    """p of the factor on the size of a group of common parameters."""
 
     __slots__ = ()
     bounded = True
 
 
 class LocalGroupSize(Hyperparameter):
-    """p of the size of a group of which each session has its own."""
+    """p of the factor on the size of a group of parameters of each session."""
 
     __slots__ = ()
     bounded = True
 
 
 class Hyperparameters(tuple[Hyperparameter, ...]):
-    """φ, with what its elements have as arrays."""
+    """Elements of φ."""
 
     @cached_property
     def bounded(self) -> BoolArray:
@@ -170,12 +163,12 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
 
     @cached_property
     def centre(self) -> Array:
-        """The most likely φ (D,) by the prior alone."""
+        """Centre (D,) of the prior of φ."""
         return np.array([h.centre for h in self])
 
     @cached_property
     def _priors(self) -> tuple[Array, IntArray, IntArray]:
-        """1/within (D,), 0 where the prior is not normal, and the scatter of rests, and that of turns and links."""
+        """1/within (D,), 0 unless the prior is normal, and the indices of scatter of rests, and of turns and links."""
         scatter = [i for i, h in enumerate(self) if isinstance(h, Scatter)]
         at_rest, others = (
             np.array([i for i in scatter if (self[i].name in REST_SCATTER) is rests], dtype=int)
@@ -184,12 +177,11 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
         return np.array([0.0 if i in scatter else 1.0 / h.within for i, h in enumerate(self)]), at_rest, others
 
     def log_prior(self, phi: Array) -> Array:
-        """Of every element the logarithm of the prior density of φ (D,), less a constant, its derivative, and the
-        curvature of its negative (3, D): normal; of scatter σ exponential with the mean `usual`, of that of turns and
-        links of density m/(m + σ)²."""
-        (narrow, at_rest, others), off = self._priors, phi - self.centre
-        out, z = np.empty((3, *phi.shape)), off * narrow
-        out[0], out[1], out[2] = -0.5 * z * z, -z * narrow, narrow * narrow
+        """Return, for every element, the logarithm of the prior density at φ (D,) up to a constant, its derivative, and
+        minus its second derivative (3, D)."""
+        (inverse_width, at_rest, others), off = self._priors, phi - self.centre
+        out, z = np.empty((3, *phi.shape)), off * inverse_width
+        out[0], out[1], out[2] = -0.5 * z * z, -z * inverse_width, inverse_width * inverse_width
         z = off[..., at_rest]
         x = np.exp(z)
         out[..., at_rest] = z - x, 1.0 - x, x
@@ -199,102 +191,97 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
         return out
 
     @cached_property
-    def _selections(self) -> dict[tuple[tuple[type[Hyperparameter], int], ...], Array]:
+    def _members(self) -> dict[tuple[tuple[type[Hyperparameter], int], ...], Array]:
         return {}
 
-    @cached_property
-    def _members(self) -> dict[tuple[type[Hyperparameter], int], Array]:
-        return {}
-
-    def members(self, kind: type[Hyperparameter], count: int) -> Array:
-        """Which of so many components, sensors, states or parameters the elements of a kind concern (D, count)."""
-        if (kind, count) not in self._members:
-            out = self._members[kind, count] = np.zeros((len(self), count))
+    def members(self, *counts: tuple[type[Hyperparameter], int]) -> Array:
+        """Return a matrix (D, Σ count), 1 where an element of a kind concerns one of the `count` members, else 0."""
+        if counts not in self._members:
+            out = self._members[counts] = np.zeros((len(self), sum(count for _, count in counts)))
             for i, h in enumerate(self):
-                if isinstance(h, kind):
-                    out[i, h.members] = 1.0
-        return self._members[kind, count]
-
-    def selection(self, counts: tuple[tuple[type[Hyperparameter], int], ...]) -> Array:
-        """The same (D, Σ) of several kinds, side by side."""
-        if counts not in self._selections:
-            self._selections[counts] = np.hstack([self.members(*each) for each in counts])
-        return self._selections[counts]
+                first = 0
+                for kind, count in counts:
+                    if isinstance(h, kind):
+                        out[i, first : first + count][h.members] = 1.0
+                    first += count
+        return self._members[counts]
 
 
 # -------------------- score --------------------
 
 
 def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Array:
-    """The squares v rᵀPDPr and the traces v tr PD (2, D) of the variances of which the elements of φ are; of a
-    correlation time their difference is its slope.
-
-    Raises
-    ------
-    LinAlgError
-        Where residuals are beyond all measure.
-    """
+    """Return v rᵀPDPr and v tr PD (2, D) of the variance of every element of φ; for a correlation time their difference
+    is its derivative. Raises LinAlgError if residuals are not finite."""
     problem, equations, point = solution.problem, solution.equations, solution.linearisation.point
     noise = equations.noise
     n, s, q = problem.sensors, noise.states, solution.local.shape[-1]
 
-    # scatter, and that of each sensor at rest
-    of_scatter, of_directions = np.zeros((2, len(SCATTER))), list[Array]()
+    # components of variance, and directions of single sensors at rest
+    scatter, directions = np.zeros((2, len(SCATTER))), list[Array]()
     for W, (r, C), (Z, place) in solution.by_kind:
-        of_directions.append(np.zeros((2, len(place))))
-        scatter_forms(W, Z, r, C, np.empty(Z.shape[1]), of_directions[-1])
-        of_directions[-1] *= noise.variances[place]
-        of_scatter += of_directions[-1] @ (place[:, None] == np.arange(len(SCATTER)))
-    if not np.isfinite(of_scatter.sum()):
+        directions.append(np.zeros((2, len(place))))
+        scatter_forms(W, Z, r, C, np.empty(Z.shape[1]), directions[-1])
+        directions[-1] *= noise.variances[place]
+        scatter += directions[-1] @ (place[:, None] == np.arange(len(SCATTER)))
+    if not np.isfinite(scatter.sum()):
         raise np.linalg.LinAlgError("residuals are beyond all measure")
 
-    # first states of all sessions and their steps
-    of_states = np.zeros((3, max(s, n)))
+    # initial states of all sessions and their steps
+    states = np.zeros((3, max(s, n)))
     if s:
         work = np.empty((2, s, solution.shared.shape[1] + 1))
-        follow, (own, with_next) = equations.follow, solution.conditional_covariances
-        every = follow, own, with_next, noise.state_rho, noise.state_step, noise.state_lapse
+        arrays = equations.sensitivity, *solution.conditional_covariances
         for part, root, shared in zip(problem.parts, solution.roots, solution.shared, strict=True):
-            by, given, with_following, rho, step, lapse = (each[part.stations] for each in every)
-            state_forms(by, given, with_following, root, shared, rho, step, lapse, work, of_states)
-    of_times = np.stack([of_states[2], np.zeros(of_states.shape[1])])
+            sensitivity, here, with_next = (array[part.stations] for array in arrays)
+            process = noise.state_rho[part.stations], noise.state_step[part.stations], noise.state_lapse[part.stations]
+            state_forms(sensitivity, here, with_next, root, shared, *process, work, states)
+    times = np.stack([states[2], np.zeros(states.shape[1])])
 
-    # priors
-    off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
-    of_priors = _forms_of_priors(off, (solution.roots[0, q + 1 :] ** 2).sum(axis=-1), problem.prior_u[1:])
-    of_local = _forms_of_priors(
-        point.local + solution.local, (solution.roots[:, :q] ** 2).sum(axis=-1), problem.local_u
+    def prior_forms(off: Array, variance: Array, size: Array) -> Array:
+        information = np.divide(1.0, size**2, out=np.zeros_like(size), where=size > 0.0)
+        return np.stack([off**2 * information, 1.0 - variance * information])
+
+    off, off_local = (
+        point.values + solution.parameters[1:] - problem.prior_mean[1:],
+        point.local + solution.local,
     )
+    priors = prior_forms(off, (solution.roots[0, q + 1 :] ** 2).sum(axis=-1), problem.prior_u[1:])
+    local_priors = prior_forms(off_local, (solution.roots[:, :q] ** 2).sum(axis=-1), problem.local_u)
 
     forms = (
-        (Scatter, of_scatter),
-        (InRunSize, of_states[:2]),
-        (CorrelationTime, of_times),
-        (SensorFactor, of_directions[0][:, :n] + of_states[:2, :n]),
-        (GroupSize, of_priors),
-        (LocalGroupSize, of_local.sum(axis=1)),
+        (Scatter, scatter),
+        (InRunSize, states[:2]),
+        (CorrelationTime, times),
+        (SensorFactor, directions[0][:, :n] + states[:2, :n]),
+        (GroupSize, priors),
+        (LocalGroupSize, local_priors.sum(axis=1)),
     )
-    some = hyperparameters.selection(tuple((kind, of.shape[1]) for kind, of in forms))
-    return np.asarray(np.concatenate([of for _, of in forms], axis=1) @ some.T)
-
-
-def _forms_of_priors(off: Array, variance: Array, size: Array) -> Array:
-    """Squares and traces (2, …) of priors of standard deviations `size` by values and variances."""
-    information = np.divide(1.0, size**2, out=np.zeros_like(size), where=size > 0.0)
-    return np.stack([off**2 * information, 1.0 - variance * information])
+    members = hyperparameters.members(*((kind, form.shape[1]) for kind, form in forms))
+    return np.asarray(np.concatenate([form for _, form in forms], axis=1) @ members.T)
 
 
 def score(hyperparameters: Hyperparameters, solution: Solution) -> Array:
-    """The gradient (D,) of ℓ."""
+    """Return the gradient (D,) of ℓ."""
     square, trace = quadratic_forms(hyperparameters, solution)
-    return np.asarray(square - trace + solution.of_prior[1])
+    return np.asarray(square - trace + solution.prior_terms[1])
 
 
 def size_factors(
     grade: str, sizes: Mapping[str, float], sheet: Container[str] = (), *, guessed: bool
 ) -> dict[str, float]:
-    """Factors by which the sizes of groups in instruments of a grade may be too small, by where each is from: a data
-    `sheet`, or a grade that is stated or guessed. A guess between grades of equal sizes cannot be wrong by it."""
+    """Return the factors by which the usual sizes of groups may be too small.
+
+    Parameters
+    ----------
+    grade, guessed
+        Grade of the instrument, and True if it is guessed. Where the next poorer grade has the same size, a wrong guess
+        makes no difference.
+    sizes
+        Usual sizes of the groups, by name.
+    sheet
+        Names of groups whose sizes are from a data sheet.
+    """
     worse = next_poorer_grade(grade) if guessed else None
     in_worse = {} if worse is None else prior_sizes(worse)
     return {
@@ -303,14 +290,18 @@ def size_factors(
     }
 
 
-def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> Hyperparameters:
-    """The hyperparameters of a problem: the components of scatter (c,) that are `seen`, the in-run biases, and the
-    groups whose size is by a prior."""
+def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray) -> Hyperparameters:
+    """Return the hyperparameters of a problem, with the `estimable` (c,) components of variance."""
     observations, blocks, out = problem.observations, problem.instrument.blocks, list[Hyperparameter]()
     undisturbed = problem.prior.undisturbed
 
-    # components of scatter: each stands beside the noise along its directions
-    beside: list[list[Array]] = [[] for _ in SCATTER]
+    def add(
+        kind: type[Hyperparameter], name: str, unit: str, words: str, usual: float, within: float, members: Members
+    ) -> None:
+        out.append(kind(name=name, unit=unit, words=words, usual=usual, within=within, members=members))
+
+    # components of variance, whose usual value is the noise along their directions
+    noise_along: list[list[Array]] = [[] for _ in SCATTER]
     for covariance, (Z, place) in (
         (noise.rest, noise.rest_directions),
         (noise.turn, noise.turn_directions),
@@ -318,83 +309,62 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, seen: BoolArray) -> 
     ):
         length, size = (Z**2).sum(axis=1), ((covariance @ Z) * Z).sum(axis=1)
         for number in set(place.tolist()):
-            own = (place == number) & (length > 0.0)
-            beside[number].append(size[own] / length[own] ** 2)
+            at = (place == number) & (length > 0.0)
+            noise_along[number].append(size[at] / length[at] ** 2)
     for number, (name, (unit, words)) in enumerate(SCATTER_WORDS.items()):
-        every = np.concatenate([np.zeros(0), *beside[number]])
-        if seen[number] and len(every) and not (undisturbed and name in REST_SCATTER):
-            usual = 1.0 if name in LINK_SCATTER else float(np.sqrt(np.median(every)))
-            out.append(Scatter(name=name, unit=unit, words=words, usual=usual, members=slice(number, number + 1)))
+        variances = np.concatenate([np.zeros(0), *noise_along[number]])
+        if estimable[number] and len(variances) and not (undisturbed and name in REST_SCATTER):
+            usual = 1.0 if name in LINK_SCATTER else float(np.sqrt(np.median(variances)))
+            add(Scatter, name, unit, words, usual, 0.0, slice(number, number + 1))
 
-    # in-run biases of both kinds, and sensors whose bias wanders more than that of the others
+    # in-run biases of both kinds, and factors of single sensors
     rests, first = observations.rests, 0
     covariances = (rests.accel_covariance, rests.gyro_covariance) if len(problem.link) > 1 else ()
     for block, covariance in zip(blocks, covariances, strict=False):
         kind, words = block.kind, "accelerometers" if block.kind == "accel" else "gyros"
         within = UNDISTURBED_WITHIN if undisturbed else IN_RUN_WITHIN
-        process: dict[str, Any] = {"within": within, "members": slice(first, first + block.size)}
-        usual, unit = observations.in_run.get(kind, typical_noise(covariance)), SCATTER_WORDS[kind][0]
-        words_of_bias = f"in-run bias of the {words}"
-        out.append(InRunSize(name=f"{kind}_in_run", unit=unit, words=words_of_bias, usual=usual, **process))
-        words_of_time = f"correlation time of the {words_of_bias}"
-        out.append(
-            CorrelationTime(name=f"{kind}_time", unit="s", words=words_of_time, usual=CORRELATION_TIME, **process)
-        )
+        usual, members = observations.in_run.get(kind, typical_noise(covariance)), slice(first, first + block.size)
+        words = f"in-run bias of the {words}"
+        add(InRunSize, f"{kind}_in_run", SCATTER_WORDS[kind][0], words, usual, within, members)
+        add(CorrelationTime, f"{kind}_time", "s", f"correlation time of the {words}", CORRELATION_TIME, within, members)
         for c, sensor in enumerate(block.sensors if block.size > 1 and not undisturbed else ()):
-            words_of_sensor = f"scatter and in-run bias of {kind} {sensor} over those of the others"
-            size = _factor(f"{kind}.in_run.{sensor}", words_of_sensor, UNLIKE, slice(first + c, first + c + 1))
-            out.append(SensorFactor(**size))
+            name, words = (
+                f"{kind}.in_run.{sensor}",
+                f"scatter and in-run bias of {kind} {sensor} over those of the others",
+            )
+            add(SensorFactor, name, "1", words, 1.0, float(np.log(UNLIKE)), slice(first + c, first + c + 1))
         first += block.size
     if problem.moves:
-        out += _displacement(first)
+        words, members = "displacement of the device in motion", slice(first, first + 3)
+        add(InRunSize, "displacement", "m", words, DISPLACEMENT, 2.0, members)
+        words = f"correlation time of the {words}"
+        add(CorrelationTime, "displacement_time", "s", words, DISPLACEMENT_TIME, 1.0, members)
 
-    # groups of parameters beyond the linear model. A lag multiplies others: a wide prior would let both grow.
-    # Curvatures are not wider than usual where there are but two temperatures, nor is a hysteresis where they came one
-    # way: what a bias has beyond its usual size would be taken for one.
-    two, both_sides = at_two_temperatures(observations), both_ways(observations)
+    # Groups beyond the linear model. A lag, which multiplies others, keeps its size, for both could grow together; so
+    # does a curvature if there are only two temperatures, and a hysteresis if they were approached from one side: it
+    # would absorb what a bias has beyond its usual size.
+    two, both_sides = at_two_temperatures(observations), ramps_up_and_down(observations)
     held = {"lag", "temperature²" if two else "lag", "lag" if both_sides else "hysteresis"}
-    common = {name: members for name, members in problem.instrument.members.items() if variable_of(name) not in held}
+    common = {name: at for name, at in problem.instrument.members.items() if variable_of(name) not in held}
     for kind_of_size, groups in ((GroupSize, common), (LocalGroupSize, problem.local_members)):
         for name in groups:
             if group_of(name).sized_with in groups:
                 continue
-            with_it = [groups[other] for other in groups if other == name or group_of(other).sized_with == name]
-            members = np.concatenate([np.arange(each.start, each.stop) for each in with_it])
-            too_small = observations.too_small.get(name, STATED)
-            out.append(kind_of_size(**_factor(name, f"size of {name} over the usual one", too_small, members)))
+            sized = [groups[other] for other in groups if other == name or group_of(other).sized_with == name]
+            places = np.concatenate([np.arange(group.start, group.stop) for group in sized])
+            within = float(np.log(observations.too_small.get(name, STATED)))
+            add(kind_of_size, name, "1", f"size of {name} over the usual one", 1.0, within, places)
     return Hyperparameters(out)
-
-
-def _displacement(first: int) -> tuple[Hyperparameter, Hyperparameter]:
-    """Size and correlation time of the displacement, whose three states stand behind so many others."""
-    words, members = "displacement of the device in motion", slice(first, first + 3)
-    return (
-        InRunSize(name="displacement", unit="m", words=words, usual=DISPLACEMENT, within=2.0, members=members),
-        CorrelationTime(
-            name="displacement_time",
-            unit="s",
-            words=f"correlation time of the {words}",
-            usual=DISPLACEMENT_TIME,
-            within=1.0,
-            members=members,
-        ),
-    )
-
-
-def _factor(name: str, words: str, too_small: float, members: slice | IntArray) -> dict[str, Any]:
-    """The fields of p of a size λ = exp(max(p, 0)) that may be too small by a factor."""
-    within = float(np.log(too_small))
-    return {"name": name, "unit": "1", "words": words, "usual": 1.0, "within": within, "members": members}
 
 
 # -------------------- likelihood --------------------
 
 
 def scaled(problem: Problem, hyperparameters: Hyperparameters, phi: Array) -> tuple[Problem, VarianceComponents]:
-    """The problem with the priors of its groups as large as φ (D,) says, and the components of variance; or stacks."""
+    """Return the problem with prior sizes at φ (D,), and the components of variance; stacks for φ (P, D)."""
     values, m, q, n = np.exp(phi), len(problem.usual_u) - 1, len(problem.usual_local_u), problem.sensors
-    some = hyperparameters.selection(((GroupSize, m), (LocalGroupSize, q), (SensorFactor, n)))
-    factors = np.exp(np.maximum(phi, 0.0) @ some)
+    members = hyperparameters.members((GroupSize, m), (LocalGroupSize, q), (SensorFactor, n))
+    factors = np.exp(np.maximum(phi, 0.0) @ members)
     prior_u = np.empty((*phi.shape[:-1], 1 + m))
     prior_u[..., 0], prior_u[..., 1:] = problem.usual_u[0], problem.usual_u[1:] * factors[..., :m]
     local_u, unlike = problem.usual_local_u * factors[..., m : m + q], factors[..., m + q :]
@@ -404,44 +374,44 @@ def scaled(problem: Problem, hyperparameters: Hyperparameters, phi: Array) -> tu
 
 
 def solution_at(linearisation: Linearisation, hyperparameters: Hyperparameters, phi: Array) -> Solution:
-    """The solution, with ℓ, at φ (D,) or at a stack (P, D) of them; the linearisation has priors of any size."""
+    """Return the solution, with ℓ, at φ (D,) or at a stack (P, D), whatever prior sizes the linearisation has."""
     problem, components = scaled(linearisation.problem, hyperparameters, phi)
     here = linearisation.with_priors(problem).with_components(components)
-    return add_priors(here, eliminate_rests(here), phi=phi, of_prior=hyperparameters.log_prior(phi))
+    return add_priors(here, eliminate_rests(here), phi=phi, prior_terms=hyperparameters.log_prior(phi))
 
 
 def average_information(hyperparameters: Hyperparameters, solution: Solution) -> Array:
-    """The average of observed and expected information (D, D) of ℓ, with the curvature of the prior.
+    """Return the average of observed and expected information (D, D) of ℓ, with the curvature of the prior.
 
-    With the working variates Q = [∂V/∂φ_a P r] of all rows it is ½ QᵀPQ (Gilmour, Thompson and Cullis 1995): Q are
-    further right-hand sides of the elimination, of which its triangle has what no unknown explains.
+    It is ½ QᵀPQ with the working variates Q = [∂V/∂φ_a P r] (Gilmour, Thompson and Cullis 1995). Q are further
+    right-hand sides of the elimination, whose triangle then contains their residuals.
     """
     linearisation, equations, problem = solution.linearisation, solution.equations, solution.problem
     noise, point, D = equations.noise, solution.linearisation.point, len(hyperparameters)
     d, q, sides, states = equations.unknowns, solution.local.shape[-1], slice(-1 - D, -1), equations.noise.states
 
-    # working variates, whitened: along the directions of scatter v Z Zᵀ W r, of priors their residuals
-    of_scatter = hyperparameters.members(Scatter, len(SCATTER))
-    of_sensors = hyperparameters.members(SensorFactor, problem.sensors)
+    # working variates, whitened: 2 v W Z Zᵀ Wᵀ r of a component of variance; of priors, their residuals
+    of_scatter = hyperparameters.members((Scatter, len(SCATTER)))
+    of_sensors = hyperparameters.members((SensorFactor, problem.sensors))
     variates = list[Array]()
     for number, (W, (r, _), (Z, place)) in enumerate(solution.by_kind):
-        WZ, some = W @ Z, of_scatter[:, place]
-        some[:, : problem.sensors] += of_sensors if number == 0 else 0.0
-        variates.append((2.0 * noise.variances[place] * (r[:, None] @ WZ) * WZ) @ some.T)
+        WZ, members = W @ Z, of_scatter[:, place]
+        members[:, : problem.sensors] += of_sensors if number == 0 else 0.0
+        variates.append((2.0 * noise.variances[place] * (r[:, None] @ WZ) * WZ) @ members.T)
     off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
-    of_prior = -2.0 * (off / problem.prior_u[1:])[:, None] * hyperparameters.members(GroupSize, len(off)).T
+    of_prior = -2.0 * (off / problem.prior_u[1:])[:, None] * hyperparameters.members((GroupSize, len(off))).T
     off_local = (point.local + solution.local) / problem.local_u
-    of_local = -2.0 * off_local[..., None] * hyperparameters.members(LocalGroupSize, q).T
+    of_local = -2.0 * off_local[..., None] * hyperparameters.members((LocalGroupSize, q)).T
 
-    def beside(rows: Array, columns: Array) -> Array:
+    def with_columns(rows: Array, columns: Array) -> Array:
         return np.concatenate([rows[..., :-1], columns, rows[..., -1:]], axis=-1)
 
-    every = equations.rest_rows, equations.turn_rows, equations.link_rows
-    rest, turn, link = (beside(rows, columns) for rows, columns in zip(every, variates, strict=True))
-    rest, joints, of_begins = station_rows(problem, rest), turn, np.zeros((len(problem.parts), 0, D))
+    kinds = equations.rest_rows, equations.turn_rows, equations.link_rows
+    rest, turn, link = (with_columns(rows, columns) for rows, columns in zip(kinds, variates, strict=True))
+    rest, joints, of_initial = station_rows(problem, rest), turn, np.zeros((len(problem.parts), 0, D))
     if states:
         joints = joint_rows(linearisation, turn, link)
-        joints[:, -states:, sides], of_begins = _variates_of_states(hyperparameters, solution)
+        joints[:, -states:, sides], of_initial = _variates_of_states(hyperparameters, solution)
     width, p = rest.shape[2] - d, len(problem.prior_u)
     common = np.zeros((p + D + 1, p + D + 1), order="F")
     rows = np.zeros((p, p + D + 1))
@@ -449,13 +419,13 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     rows[:, -1] = rows.diagonal() * (problem.prior_mean - np.append(point.gravity, point.values))
     rows[1:, p:-1] = of_prior
     fold(rows, common)
-    fold(beside(linearisation.array, np.zeros((len(linearisation.array), D))), common)
+    fold(with_columns(linearisation.array, np.zeros((len(linearisation.array), D))), common)
     for s, part in enumerate(problem.parts):
-        begins, triangle = np.zeros((d, d + rest.shape[2])), np.zeros((width, width), order="F")
-        begins[d - states :, d - states : d] = np.eye(states)
-        begins[d - states :, sides] = of_begins[s]
-        between, links = joints[part.stations if states else part.turns], session_links(part, chained=states > 0)
-        eliminate(rest[part.stations], between, links, np.empty((len(part.link), *begins.shape)), triangle, begins)
+        initial, triangle = np.zeros((d, d + rest.shape[2])), np.zeros((width, width), order="F")
+        initial[d - states :, d - states : d] = np.eye(states)
+        initial[d - states :, sides] = of_initial[s]
+        between, links = joints[part.stations if states else part.turns], session_links(part, states > 0)
+        eliminate(rest[part.stations], between, links, np.empty((len(part.link), *initial.shape)), triangle, initial)
         if q:
             local = np.zeros((q, width))
             local[:, :q], local[:, sides] = np.diag(1.0 / problem.local_u), of_local[s]
@@ -463,29 +433,27 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
             fold(local, triangle)
         fold(triangle[q:, q:].copy(order="F"), common)
     R = np.triu(common)[p : p + D, p : p + D]
-    return np.asarray(0.5 * R.T @ R + np.diag(solution.of_prior[2]))
+    return np.asarray(0.5 * R.T @ R + np.diag(solution.prior_terms[2]))
 
 
 def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:
-    """Working variates of the steps of the states that follow stations (M, s, D), and of the first states of sessions
-    (S, s, D): of sizes the whitened residuals. With S β the steps, of variances V, and w = V⁻¹ S β, a correlation time
-    changes the covariance S⁻¹ V S⁻ᵀ of the states so that its variate is −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
-    noise, b, first = (
-        solution.equations.noise,
-        solution.states,
-        [part.stations.start for part in solution.problem.parts],
-    )
+    """Return working variates of the steps of states after each station (M, s, D) and of initial states (S, s, D).
+
+    Those of sizes are the whitened residuals. With S β the steps of the states, of variances V, and w = V⁻¹ S β, those
+    of a correlation time, which changes the covariance S⁻¹ V S⁻ᵀ of β, are −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
+    noise, b = solution.equations.noise, solution.states
+    first = [part.stations.start for part in solution.problem.parts]
     follows, s, n = noise.follows[:, None], b.shape[1], solution.problem.sensors
     lapse = np.where(follows & np.isfinite(noise.state_lapse), noise.state_lapse, 0.0)
     rho, step = np.where(follows, noise.state_rho, 0.0), np.where(follows, noise.state_step, 1.0)
     residual, slope = np.zeros_like(b), rho * lapse
     residual[:-1] = np.where(follows[:-1], b[1:] - rho[:-1] * b[:-1], 0.0) / step[:-1] ** 2  # w
     back = np.ascontiguousarray(-slope * residual)
-    along_chains(rho[:, :, None] * np.eye(s), back[:, :, None])
+    recur_backwards(rho[:, :, None] * np.eye(s), back[:, :, None])
     after = np.append(back[1:], np.zeros((1, s)), axis=0)
     by_time = np.where(follows, (slope * b - step**2 * after) / step - 2.0 * rho * slope * residual / step, 0.0)
-    sizes = hyperparameters.members(InRunSize, s).T.copy()
-    sizes[:n] += hyperparameters.members(SensorFactor, n).T
-    times = hyperparameters.members(CorrelationTime, s).T
+    sizes = hyperparameters.members((InRunSize, s)).T.copy()
+    sizes[:n] += hyperparameters.members((SensorFactor, n)).T
+    times = hyperparameters.members((CorrelationTime, s)).T
     of_steps = -2.0 * (residual * step)[:, :, None] * sizes - by_time[:, :, None] * times
     return of_steps, -2.0 * b[first][:, :, None] * sizes + back[first][:, :, None] * times

@@ -1,13 +1,13 @@
-"""Joint method: one likelihood of everything a session contains, its maximum, and the posterior about it.
+"""Joint method: the posterior of all parameters given everything recorded in a session.
 
-All parameters of the instrument, the attitudes of all rests, in-run biases and local gravity are found at once from the
-rest means of both blocks, the rotations and velocities of the turns, the Earth's rate and the measured gravity
-(`tumble.inference.problem`), at the joint maximum with what the model does not know about itself
-(`tumble.inference.maximum`), over which the posterior is then integrated (`tumble.inference.integral`): values and u
-are those of the posterior. The table's angles are not used. The estimate reaches the Cramér–Rao bound.
+The parameters of the instrument, the attitudes of all rests, in-run biases and local gravity are estimated together
+from the rest means of accelerometers and gyros, the rotations and velocities of the turns, the Earth's rate and the
+measured gravity (`tumble.inference.problem`). The joint maximum with the hyperparameters (`tumble.inference.maximum`)
+is found first, and the posterior is integrated over the hyperparameters (`tumble.inference.integral`); values and u are
+those of the posterior. Table angles are not used. The estimate reaches the Cramér–Rao bound.
 
-What is seen: a parameter of the linear model counts as determined when it is known DETERMINED times better than its
-limit; so does a combination of them.
+A parameter of the linear model, or a combination of them, is determined if its u is DETERMINED times smaller than its
+limit.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from tumble.inference.estimate import (
     Fit,
     GroupFinding,
     HyperparameterEstimate,
-    Integral,
     Omitted,
     OwnEstimate,
     ProcessBias,
@@ -31,6 +30,7 @@ from tumble.inference.estimate import (
 from tumble.inference.fits import MAGNETOMETER, TOTAL, chi_squares, left_out, sigmas
 from tumble.inference.hyperparameters import Hyperparameters
 from tumble.inference.integral import Posterior, posterior
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.lag import maximum_with_lags
 from tumble.inference.linearisation import at_reference
 from tumble.inference.magnetic_estimate import magnetometer_estimate, with_magnetometer
@@ -40,15 +40,13 @@ from tumble.inference.normal_equations import solve
 from tumble.inference.prediction import prediction
 from tumble.inference.problem import NO_PRIOR, Prior, Problem, instruments_of
 from tumble.inference.sources import UncertaintyBudget, common_covariances, source
-from tumble.inference.start import start_of
-from tumble.inference.turns_about import TurnsAbout
+from tumble.inference.start import initial_linearisation
 from tumble.reduction.observations import Observations
 from tumble.sensors.compensation import specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.units import Array
 
-QUICK_STEPS = 12
-"""Linearisations of a quick estimate: that of a sound session takes six."""
+QUICK_STEPS = 12  # linearisations of a quick estimate; a valid session takes six
 
 
 def joint(
@@ -60,52 +58,65 @@ def joint(
     intervals: bool = True,
     quick: bool = False,
 ) -> Estimate:
-    """All parameters of a session by maximum likelihood, with covariance and outcome. The `instrument` says which;
-    where None, the groups whose usual size the observations know. Rests and turns that do not fit are left out; their
-    sigmas say which they are. With `components` of variance the solution is that beside these, known from elsewhere.
-    Without `intervals` the covariance is that at the maximum, not integrated over what the model does not know of
-    itself. A `quick` one is the maximum alone, settled or not, without a budget: it is for a page that follows a
-    session and cannot wait for one that contradicts itself."""
+    """Estimate all parameters of a session, or of several sessions together.
+
+    Rests and turns that are outliers are left out; `Estimate.left_out` and the sigmas show which.
+
+    Parameters
+    ----------
+    observations, prior
+        Observations and prior knowledge.
+    instrument
+        The parameters; if None, all groups whose usual size the observations state.
+    components
+        Components of variance, if they are known; hyperparameters are not estimated then.
+    intervals
+        False for the posterior at the maximum, not integrated over the hyperparameters.
+    quick
+        True for the maximum alone after few steps, converged or not, without outlier test and budget: for a display
+        that follows a session.
+    """
     usual, local = instruments_of(observations)
     problem = Problem.of(observations, prior, instrument=instrument or usual, local=local, usual=observations.usual)
-    start, first = start_of(problem)
+    start = initial_linearisation(problem)
+    first = start.point.values
     start, refused = with_magnetometer(start)
     fitted, by_lag = maximum_with_lags(start, QUICK_STEPS if quick else MAX_ITERATIONS)
     if fitted.converged and not quick:
         fitted = without_outliers(fitted)
     if components is not None:
         fitted = replace(fitted, hyperparameters=Hyperparameters(()), solution=solve(fitted.linearisation, components))
-    shown = posterior(fitted, integrate=intervals and not quick and components is None, by_source=not quick)
-    magnetometer = magnetometer_estimate(fitted, shown.step)
-    if magnetometer is not None and magnetometer.refused:  # which all others must not suffer from
-        alone = observations.without_magnetometer()
+    found = posterior(fitted, integrate=intervals and not quick and components is None, by_source=not quick)
+    magnetometer = magnetometer_estimate(fitted, found.step)
+    if magnetometer is not None and magnetometer.refused:  # estimate all other parameters without it
         estimate = joint(
-            alone, prior=prior, instrument=instrument, intervals=intervals, quick=quick, components=components
-        )
+            observations.without_magnetometer(), prior=prior, instrument=instrument, intervals=intervals, quick=quick,
+            components=components,
+        )  # fmt: skip
         return replace(estimate, magnetometer=magnetometer)
-    estimate = _estimate(fitted, shown, (*first, *fitted.increments[:-1], shown.step[1:]), by_lag)
+    estimate = _estimate(fitted, found, (first, *fitted.increments[:-1], found.step[1:]), by_lag)
     return replace(estimate, magnetometer=magnetometer or refused or None)
 
 
-def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], by_lag: Array) -> Estimate:
+def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], by_lag: Array) -> Estimate:
     problem, linearisation, best = fitted.problem, fitted.linearisation, fitted.solution
     instrument = problem.instrument
     accel_sigmas, gyro_sigmas, turn_sigmas, *_ = sigmas(best)
-    alone = chi_squares(solve(linearisation.with_priors(problem), NO_COMPONENTS))
-    inertial = [fit for name, fit in alone.items() if name != MAGNETOMETER]
+    without_scatter = chi_squares(solve(linearisation.with_priors(problem), NO_COMPONENTS))
+    inertial = [fit for name, fit in without_scatter.items() if name != MAGNETOMETER]
     chi_square, degrees = (sum(getattr(fit, name) for fit in inertial) for name in ("chi_square", "degrees"))
     total = Fit(chi_square=chi_square, degrees=degrees, scatter=0.0, unit="")
     observations, linear = problem.observations, instrument.linear_count
-    values = fitted.linearisation.point.values + shown.step[1:]
+    values = fitted.linearisation.point.values + found.step[1:]
     common = {**common_covariances(observations, instrument), "lag": by_lag}
-    budget = _budget(fitted, shown, common) if shown.sources else None
-    in_common = np.sum(list(common.values()), axis=0)
-    covariance = shown.covariance[1:, 1:] + in_common
-    # what the time base or rounding leave open no further rest or turn would show
-    shown_by_data = (shown.covariance[1:, 1:] + by_lag)[:linear, :linear]
+    budget = _budget(fitted, found, common) if found.sources else None
+    common_covariance = np.sum(list(common.values()), axis=0)
+    covariance = found.covariance[1:, 1:] + common_covariance
+    # without the errors of time base and rounding, which no further rest or turn would reduce
+    reducible = (found.covariance[1:, 1:] + by_lag)[:linear, :linear]
     spread = problem.spread[:linear]
     observable = np.ones(len(values), dtype=bool)
-    observable[:linear] = np.sqrt(np.diag(shown_by_data)) < spread / DETERMINED
+    observable[:linear] = np.sqrt(np.diag(reducible)) < spread / DETERMINED
     findings = tuple(_findings(fitted, np.diag(by_lag)))
     for finding in findings:
         observable[instrument.members[finding.name]] = finding.kept
@@ -117,7 +128,7 @@ def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], 
         values=values,
         covariance=covariance,
         observable=observable,
-        null=_undetermined(shown_by_data / np.outer(spread, spread)),
+        null=_undetermined(reducible / np.outer(spread, spread)),
         accel=accel,
         gyro=None if observations.gyro_block is None else problem.gyro_model(values),
         rest_residual=np.linalg.norm(_force(fitted, values), axis=1) - observations.site.gravity,
@@ -129,7 +140,7 @@ def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], 
         converged=fitted.converged,
         instrument=instrument,
         groups=findings,
-        degrees=shown.degrees,
+        degrees=found.degrees,
         prediction=prediction(
             instrument,
             values,
@@ -139,26 +150,26 @@ def _estimate(fitted: Maximum, shown: Posterior, increments: tuple[Array, ...], 
         ),
         linearised=linearisation.with_priors(problem).with_components(fitted.components),
         own=_local(fitted),
-        hyperparameters=tuple(_hyperparameters(fitted, shown)),
-        integral=Integral(points=shown.points, effective=shown.effective, pareto=shown.pareto, u_error=shown.u_error),
-        process_bias=tuple(_process_bias(fitted, shown, in_common)),
+        hyperparameters=tuple(_hyperparameters(fitted, found)),
+        integral=found.integral,
+        process_bias=tuple(_process_bias(fitted, found, common_covariance)),
         budget=budget,
         left_out=Omitted(**dict(zip(("accel", "gyro", "turn"), left_out(problem, linearisation.noise), strict=False))),
     )
 
 
-def _hyperparameters(fitted: Maximum, shown: Posterior) -> Iterator[HyperparameterEstimate]:
-    """What the session says of every hyperparameter."""
-    for h, (value, low, high) in zip(fitted.hyperparameters, shown.hyperparameters.tolist(), strict=True):
+def _hyperparameters(fitted: Maximum, found: Posterior) -> Iterator[HyperparameterEstimate]:
+    for h, (value, low, high) in zip(fitted.hyperparameters, found.hyperparameters.tolist(), strict=True):
         yield HyperparameterEstimate(
             name=h.name, unit=h.unit, words=h.words, value=value, low=low, high=high, usual=h.usual
         )
 
 
-def _budget(fitted: Maximum, shown: Posterior, common: Mapping[str, Array]) -> UncertaintyBudget:
-    """The covariance by source, and of each source its standard uncertainty, where it is one quantity's. A standard
-    deviation known to a relative σ stands for 1/(2 σ²) degrees of freedom (GUM E.4.3, G.4.2), σ being that of its
-    logarithm by the middle 68 %."""
+def _budget(fitted: Maximum, found: Posterior, common: Mapping[str, Array]) -> UncertaintyBudget:
+    """Return the covariance by source, with the standard uncertainty of each source that is a single quantity.
+
+    A standard deviation with relative uncertainty σ counts as 1/(2 σ²) degrees of freedom (GUM E.4.3, G.4.2); σ is half
+    the width of the middle 68 % of its logarithm."""
     problem, noise = fitted.problem, fitted.linearisation.noise
     observations, instrument, rests = problem.observations, problem.instrument, problem.observations.rests
     sizes = dict[str, tuple[float, str, float | None]]()
@@ -168,15 +179,15 @@ def _budget(fitted: Maximum, shown: Posterior, common: Mapping[str, Array]) -> U
     if len(noise.turn):
         rotation, velocity = (float(np.sqrt(np.median(each**2))) for each in problem.noise_of_turns)
         sizes |= {"turn.gyro.noise": (rotation, "rad", None), "turn.accel.noise": (velocity, "m/s", None)}
-    for h in _hyperparameters(fitted, shown):
+    for h in _hyperparameters(fitted, found):
         name = f"{h.name}.scatter" if h.name in SCATTER else h.name.replace("_in_run", ".in_run")
         relative = 0.5 * np.log(h.high / h.low)
         sizes[name] = h.value, h.unit, float(0.5 / relative**2) if relative > 0.0 else None
     site, clock = observations.site, max(map(abs, observations.by_clock.values()), default=0.0)
     sizes |= {"gravity": (site.gravity_u, "m/s^2", None), "clock": (clock, "1", None)}
-    for name, own in instrument.members.items():
-        sizes[f"prior.{name}"] = float(problem.prior_u[1:][own][0]), instrument.units[own.start], None
-    covariances = {name: covariance[1:, 1:] for name, covariance in shown.sources.items()} | dict(common)
+    for name, members in instrument.members.items():
+        sizes[f"prior.{name}"] = float(problem.prior_u[1:][members][0]), instrument.units[members.start], None
+    covariances = {name: covariance[1:, 1:] for name, covariance in found.sources.items()} | dict(common)
     covariances = {name: covariance for name, covariance in covariances.items() if covariance.any()}
     return UncertaintyBudget(
         sources=tuple(source(name, *sizes.get(name, ())) for name in covariances),
@@ -184,29 +195,28 @@ def _budget(fitted: Maximum, shown: Posterior, common: Mapping[str, Array]) -> U
     )
 
 
-def _process_bias(fitted: Maximum, shown: Posterior, common: Array) -> Iterator[ProcessBias]:
-    """The biases as the means of their processes, and how far that of the next minute may be."""
+def _process_bias(fitted: Maximum, found: Posterior, common: Array) -> Iterator[ProcessBias]:
     problem, biases, components = fitted.problem, fitted.problem.biases, fitted.components
     accelerometers = problem.instrument.accel.size
     sigma, _ = components.in_run(accelerometers, problem.sensors - accelerometers)
-    variances = np.diag(shown.process_covariance) + np.diag(common)[biases]
-    values = fitted.linearisation.point.values[biases] + shown.process_step
-    for i, value, variance, own in zip(biases.tolist(), values.tolist(), variances.tolist(), sigma, strict=True):
-        u, next_u = np.sqrt(variance), np.sqrt(variance + own**2)
+    variances = np.diag(found.process_covariance) + np.diag(common)[biases]
+    values = fitted.linearisation.point.values[biases] + found.process_step
+    for i, value, variance, in_run in zip(biases.tolist(), values.tolist(), variances.tolist(), sigma, strict=True):
+        u, next_u = np.sqrt(variance), np.sqrt(variance + in_run**2)
         yield ProcessBias(name=problem.instrument.names[i], value=value, u=float(u), next_u=float(next_u))
 
 
 def _undetermined(covariance: Array) -> Array:
-    """The combinations (q, n) of parameters whose variance is too large, of their covariance in units of the spreads.
-    None has one larger than the sum of all."""
-    if np.trace(covariance) <= DETERMINED**-2:
+    """Return the combinations (q, n) of parameters that are not determined, from their covariance in units of
+    spreads."""
+    if np.trace(covariance) <= DETERMINED**-2:  # no eigenvalue exceeds the trace
         return np.zeros((0, len(covariance)))
     variance, combinations = np.linalg.eigh(covariance)
     return np.asarray(combinations[:, variance > DETERMINED**-2].T)
 
 
-def _usual_rate(about: TurnsAbout | None) -> float | None:
-    """The rate of the session's turns, rad/s, root mean square; None without turns."""
+def _usual_rate(about: IntegratedTurns | None) -> float | None:
+    """Return the root mean square rate of the turns, rad/s; None without turns."""
     if about is None or not len(about.moments):
         return None
     moments = about.moments
@@ -214,7 +224,7 @@ def _usual_rate(about: TurnsAbout | None) -> float | None:
 
 
 def _force(fitted: Maximum, values: Array) -> Array:
-    """Specific forces (N, 3) at rest by the whole model with these parameters."""
+    """Return the specific forces (N, 3) at rest by the complete model with these parameters."""
     problem = fitted.problem
     accel = problem.observations.rests.accel
     if "temperature" in problem.variables:
@@ -223,7 +233,6 @@ def _force(fitted: Maximum, values: Array) -> Array:
 
 
 def _local(fitted: Maximum) -> OwnEstimate | None:
-    """What each of several sessions has of its own."""
     local, q = fitted.problem.local, len(fitted.problem.local_u)
     if local is None:
         return None
@@ -238,15 +247,14 @@ def _local(fitted: Maximum) -> OwnEstimate | None:
 
 
 def _findings(fitted: Maximum, by_lag: Array) -> Iterator[GroupFinding]:
-    """What the session says of each further group, beside a prior of the size at the maximum; of lags by the variances
-    (m,) that they leave."""
-    known = fitted.solution.covariance.diagonal()[1:]
-    problem = fitted.problem
-    instrument, sized, usual = problem.instrument, problem.prior_u[1:], problem.usual_u[1:]
-    for group in instrument.further:
-        own = instrument.members[group.name]
+    """Yield the finding on each further group, given its size at the maximum; `by_lag` (m,) has the variances of
+    lags."""
+    variance, problem = fitted.solution.covariance.diagonal()[1:], fitted.problem
+    for group in problem.instrument.further:
+        members = problem.instrument.members[group.name]
         if group.variable == "lag":
             prior = np.array([problem.observations.usual[group.name]])
-            yield GroupFinding.of(group.name, prior, prior, by_lag[own])
+            yield GroupFinding.of(group.name, prior, prior, by_lag[members])
         else:
-            yield GroupFinding.of(group.name, usual[own], sized[own], known[own])
+            usual, size = problem.usual_u[1:][members], problem.prior_u[1:][members]
+            yield GroupFinding.of(group.name, usual, size, variance[members])

@@ -1,32 +1,33 @@
-"""The lags of the sensors behind their thermometers, and the spread they leave in all parameters.
+"""Lags of the sensor temperatures behind their thermometers, and the covariance that they add to all parameters.
 
-Accelerometers and gyros have a lag each: they may be chips apart from the thermometer and from each other. Everything
-else is linear, or nearly so, once the lags are known, which multiply the coefficients over temperature: the likelihood
-has several minima over a lag, where the temperature hardly bends none that Gauss–Newton finds. So the estimate holds
-the likeliest lags, and in the end the probability of each lag λ is summed over a grid, with the hyperparameters that
-are likeliest with it.
+Accelerometers and gyros have one lag each, because they may be separate chips. Given the lags the problem is linear, or
+nearly so, in everything else; they multiply the temperature coefficients, so that the likelihood has several maxima
+over a lag, or none that Gauss–Newton finds if the temperature is almost linear in time. The estimate therefore holds
+the most likely lags, and the posterior of each lag λ is integrated on a grid, with the hyperparameters maximised at
+each lag.
 
-Sensors follow: a lag is not negative. One of the die is behind a thermometer on it by less than a second, behind one in
-the package or on the board by seconds to some tens of seconds, and an instrument behind one in its housing by minutes.
-Which it is no file says, so that its prior falls by a power,
+A lag is not negative. A die follows a thermometer on it within a second, one in the package or on the board within
+seconds to some tens of seconds, and an instrument follows one in its housing within minutes. No file states which it
+is, so the prior falls off as a power,
 
     p(λ) = (3/2s)(1 + λ/2s)⁻⁴,    λ ≥ 0                                                                            (1)
 
-of mean s, a tenth of it beyond 2.3 s and a hundredth beyond 7.3 s: minutes are believed as soon as data show them.
+with mean s, a tenth of it beyond 2.3 s and a hundredth beyond 7.3 s: lags of minutes are accepted if the data show
+them.
 
-A lag matters as far as anything changes with temperature. Where nothing does, any lag fits, and a large one best: with
-it the sensors have hardly become warmer, and parameters at the temperature of the thermometer would be far from all
-that was observed. So there are two hypotheses, as likely beforehand: the coefficients c over temperature of a kind of
-sensor are of usual size, c ~ N(0, S) and λ is of (1), or they are zero. With the solution θ(λ), of covariance C(λ), the
-odds of the first with a lag are those of the density of c = 0 before and after (Savage and Dickey),
+A lag matters only if something changes with temperature. If nothing does, every lag fits, and large ones best: the
+sensors have then hardly warmed up, and parameters at the temperature of the thermometer are extrapolated far from the
+observations. Hence there are two hypotheses of equal prior probability: the temperature coefficients c of a kind of
+sensor have usual sizes, c ~ N(0, S), and λ has the prior (1); or they are zero. With the solution θ(λ) of covariance
+C(λ), the odds of the first at a lag are the ratio of the prior to the posterior density at c = 0 (Savage–Dickey),
 
     O(λ) = (|C_c|/|S|)^½ exp(½ cᵀ C_c⁻¹ c),    P = ∫ p(λ) O(λ) dλ / (1 + ∫ p(λ) O(λ) dλ)
 
-and with λ̄ = P E λ, θ₀ and C₀ of the second hypothesis, and the mean over the lags of the first
+and with λ̄ = P E λ, θ₀ and C₀ of the second hypothesis, and E the mean over the lags of the first,
 
     C = (1 − P) [C₀ + (θ₀ − θ(λ̄))(θ₀ − θ(λ̄))ᵀ] + P E[C(λ) + (θ(λ) − θ(λ̄))(θ(λ) − θ(λ̄))ᵀ]
 
-but no less than C(λ̄): docs/explanation/mathematics.md (35).
+but not less than C(λ̄), docs/explanation/mathematics.md (35).
 """
 
 from __future__ import annotations
@@ -38,90 +39,88 @@ import numpy as np
 import scipy
 
 from tumble.inference.hyperparameters import solution_at
-from tumble.inference.integral import conditional, coverage_factors
+from tumble.inference.integral import coverage_factors
 from tumble.inference.linearisation import Linearisation, linearise
-from tumble.inference.maximum import Maximum, likeliest, likeliest_phi, maximum
+from tumble.inference.maximum import Maximum, maximise, maximise_from_starts, maximise_phi
 from tumble.inference.problem import Problem
 from tumble.sensors.parameters import THERMAL, sensor_kind, variable_of
 from tumble.units import Array
 
-LAGS = np.array([0.0, 5.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0, 1600.0])
-"""s: lags at which the likelihood is taken at first."""
-NEAR = 0.3
-"""Standard deviations by which the likeliest lag may be apart from the one that is held."""
+LAGS = np.array([0.0, 5.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0, 1600.0])  # s: first grid
+NEAR = 0.3  # largest distance of the most likely lag from the one held, in standard deviations
+# Largest probability of a point of a resolved grid, half a standard deviation of a Gaussian from the next, and largest
+# number of halvings of the steps.
 RESOLVED, HALVINGS = 0.2, 10
-"""Largest probability of one lag of a grid that resolves the likelihood, half a standard deviation of a Gaussian from
-the next, and how often steps beside likelier ones are halved at most."""
-LAG_ROUNDS = 3
-"""Solutions with lags of which each shows the one before to be wrong, at most."""
+LAG_ROUNDS = 3  # largest number of times the lags held are changed
 
 
 def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, Array]:
-    """The maximum with the likeliest lags, which are held, and the covariance (m, m) that they leave.
+    """Find the joint maximum, with lags held at their means if there are any.
 
     Parameters
     ----------
     start
-        The linearisation to begin from, of a session with or without lags among its parameters.
+        First linearisation, of a session with or without lags among its parameters.
     iterations
-        Linearisations at most.
+        Largest number of linearisations.
 
     Returns
     -------
     maximum
-        That with the lags λ̄.
-    spread
-        By how much the covariance (m, m) of the parameters is greater because the lags are not known.
+        Maximum at the lags λ̄.
+    spread : (m, m)
+        Covariance of the parameters added by the uncertainty of the lags.
     """
     lags, spread = start.problem.lags, np.zeros((len(start.problem.instrument.names),) * 2)
     if not lags:
-        return likeliest(start, iterations), spread
+        return maximise_from_starts(start, iterations), spread
     usual = {kind: start.problem.observations.usual[f"{kind}.lag"] for kind in lags}
 
     def held(values: Array, near: Linearisation) -> Linearisation:
-        """The linearisation where the lags are known to be those among values (m,)."""
+        """Return the linearisation with lags held at those among values (m,)."""
         there = linearise(near.problem.with_lags(values), replace(near.point, values=values), near.about)
         return replace(there, noise=there.noise.weighted(*near.noise.weights))
 
     def again(values: Array) -> Maximum:
-        return maximum(held(values, replace(fitted.linearisation, point=fitted.point)), fitted.phi, iterations)
+        return maximise(held(values, replace(fitted.linearisation, point=fitted.point)), fitted.phi, iterations)
 
     def penalty(kind: str, lag: Array) -> Array:
-        """−2 ln of the prior of a lag, Eq. (1)."""
+        """Return −2 ln of the prior of a lag, Eq. (1)."""
         return np.asarray(8.0 * np.log1p(0.5 * lag / usual[kind]))
 
     def solutions(kind: str) -> Callable[[Array], tuple[Array, Array]]:
-        """−2 ln of the posterior of lags of a kind, and with them covariances and values (L, m, m + 1) of the
-        parameters. Each begins with φ between those of the lags about it."""
+        """Return a function of lags (L,) that returns −2 ln of their posterior, and the solutions (L, m, m + 1) there:
+        covariances and values of the parameters. φ starts from an interpolation between the lags computed before."""
         values, i = fitted.point.values, lags[kind]
         here = held(values, replace(fitted.linearisation, point=fitted.point))
-        known, B = {float(values[i]): fitted.phi}, fitted.curvature
+        phi_at, B = {float(values[i]): fitted.phi}, fitted.curvature
 
-        def at(tried: Array) -> tuple[Array, Array]:
+        def at(grid: Array) -> tuple[Array, Array]:
             nonlocal B
-            deviance, both = penalty(kind, tried), np.empty((len(tried), len(values), len(values) + 1))
-            for k in np.argsort(np.abs(tried - values[i])):
-                lag, other = float(tried[k]), values.copy()
-                other[i] = lag
-                there = here.at_lags(here.problem.with_lags(other), other)
-                before, every = zip(*sorted(known.items()), strict=True)
-                phi = np.array([np.interp(lag, before, element) for element in np.transpose(every)])
+            deviance, out = penalty(kind, grid), np.empty((len(grid), len(values), len(values) + 1))
+            for k in np.argsort(np.abs(grid - values[i])):
+                lag, at_lag = float(grid[k]), values.copy()
+                at_lag[i] = lag
+                there = here.at_lags(here.problem.with_lags(at_lag), at_lag)
+                known_lags, known_phi = zip(*sorted(phi_at.items()), strict=True)
+                phi = np.array([np.interp(lag, known_lags, element) for element in np.transpose(known_phi)])
                 solution = solution_at(there, fitted.hyperparameters, phi)
-                solution, B, *_ = likeliest_phi(fitted.hyperparameters, solution, B)
-                known[lag], found = solution.phi, conditional(solution)
-                deviance[k] -= 2.0 * found.value
-                both[k, :, :-1], both[k, :, -1] = found.covariance[1:, 1:], values + found.step[1:]
-            return deviance, both
+                solution, B, *_ = maximise_phi(fitted.hyperparameters, solution, B)
+                phi_at[lag] = solution.phi
+                deviance[k] -= 2.0 * solution.log_posterior
+                out[k, :, :-1] = solution.session_covariance[1:, 1:]
+                out[k, :, -1] = values + solution.session_step[1:]
+            return deviance, out
 
         return at
 
-    def goodness(fit: Maximum) -> float:
-        """ln of the posterior of φ and the lags."""
-        of_lags = [float(penalty(kind, fit.point.values[i])) for kind, i in lags.items()]
-        return float(fit.solution.log_posterior) - 0.5 * sum(of_lags)
+    def log_posterior(fit: Maximum) -> float:
+        """Return ln of the posterior of φ and the lags."""
+        penalties = [float(penalty(kind, fit.point.values[i])) for kind, i in lags.items()]
+        return float(fit.solution.log_posterior) - 0.5 * sum(penalties)
 
-    fitted = likeliest(held(start.point.values, start), iterations)
-    for left in reversed(range(LAG_ROUNDS)):
+    fitted = maximise_from_starts(held(start.point.values, start), iterations)
+    for rounds_left in reversed(range(LAG_ROUNDS)):
         at_lags = {kind: solutions(kind) for kind in lags}
         grids = {kind: resolved(at_lags[kind], LAGS) for kind in lags}
         values, moved = fitted.point.values.copy(), False
@@ -129,67 +128,68 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
             values[lags[kind]] = grid[np.argmax(weight / widths(grid))]
             u = np.sqrt(weight @ (grid - weight @ grid) ** 2)
             moved |= abs(values[lags[kind]] - fitted.point.values[lags[kind]]) > NEAR * u
-        if not (left and moved):
+        if not (rounds_left and moved):
             break
-        other = again(values)
-        if goodness(other) <= goodness(fitted):
+        moved_fit = again(values)
+        if log_posterior(moved_fit) <= log_posterior(fitted):
             break
-        fitted = other
+        fitted = moved_fit
     means, prior_u = fitted.point.values.copy(), fitted.problem.prior_u[1:]
     others = np.delete(np.arange(len(means)), list(lags.values()))
     for kind, i in lags.items():
-        (grid, weight, at_grid), own = grids[kind], coefficients(fitted.problem, kind)
+        (grid, weight, at_grid), thermal = grids[kind], coefficients(fitted.problem, kind)
         prior = np.exp(-0.5 * penalty(kind, grid)) * widths(grid)
-        log_odds = [log_odds_of_change(each[own][:, [*own, -1]], prior_u[own]) for each in at_grid]
-        change = float(scipy.special.expit(scipy.special.logsumexp(log_odds, b=prior / prior.sum())))
+        log_odds = [log_odds_of_change(found[thermal][:, [*thermal, -1]], prior_u[thermal]) for found in at_grid]
+        change = float(scipy.special.expit(scipy.special.logsumexp(log_odds, b=prior / prior.sum())))  # P
         means[i] = change * float(weight @ grid)
         spread[i, i] = weight @ (grid - means[i]) ** 2
-        (held_one,) = at_lags[kind](means[[i]])[1]
-        every = np.vstack([without(held_one, own)[None], at_grid])[:, others][:, :, [*others, -1]]
-        more = greater_by(every, held_one[others][:, [*others, -1]], np.append(1.0 - change, change * weight))
-        spread[np.ix_(others, others)] += more
+        (at_mean,) = at_lags[kind](means[[i]])[1]
+        mixture = np.vstack([without(at_mean, thermal)[None], at_grid])[:, others][:, :, [*others, -1]]
+        probability = np.append(1.0 - change, change * weight)
+        added = added_covariance(mixture, at_mean[others][:, [*others, -1]], probability)
+        spread[np.ix_(others, others)] += added
     return again(means), spread
 
 
-def without(solution: Array, own: list[int]) -> Array:
-    """A solution, its covariance and its values (m, m + 1), where the parameters at `own` are zero."""
-    return solution - solution[:, own] @ np.linalg.solve(solution[np.ix_(own, own)], solution[own])
+def without(solution: Array, places: list[int]) -> Array:
+    """Return a solution (m, m + 1), covariance and values, given that the parameters at `places` are zero."""
+    return solution - solution[:, places] @ np.linalg.solve(solution[np.ix_(places, places)], solution[places])
 
 
-def greater_by(every: Array, held: Array, weight: Array) -> Array:
-    """By how much the covariance (m, m) of a mixture of solutions is greater than that of the one which is held: of
-    each the covariance and the values, (L, m, m + 1) and (m, m + 1), and the probability (L,). u is half the half width
-    of the mixture at 95.45 % where that is less than its standard deviation, as in the integral, and not less than that
-    of the one that is held."""
-    off, before = (every - held)[:, :, -1], np.diag(held)
-    more = np.tensordot(weight, every[:, :, :-1] - held[:, :-1], axes=1) + (off.T * weight) @ off
+def added_covariance(solutions: Array, held: Array, weight: Array) -> Array:
+    """Return the covariance (m, m) of a mixture of solutions less that of the solution with the lag held.
+
+    `solutions` (L, m, m + 1) and `held` (m, m + 1) are covariances and values, `weight` (L,) probabilities. u of the
+    mixture is limited to half its half width at 95.45 %, as in the integral, and is not less than that of `held`."""
+    offset, before = (solutions - held)[:, :, -1], np.diag(held)
+    more = np.tensordot(weight, solutions[:, :, :-1] - held[:, :-1], axes=1) + (offset.T * weight) @ offset
     size = np.sqrt(np.abs(np.diag(more)))
     size[size == 0.0] = 1.0
     value, vectors = np.linalg.eigh(more / np.outer(size, size))
     more = (vectors * np.maximum(value, 0.0)) @ vectors.T * np.outer(size, size)
     after = before + np.diag(more)
-    u = np.sqrt(np.maximum(np.diagonal(every, axis1=1, axis2=2), 1e-6 * before))
-    after *= np.minimum(0.5 * coverage_factors(off, u, weight, np.sqrt(after)), 1.0) ** 2
+    u = np.sqrt(np.maximum(np.diagonal(solutions, axis1=1, axis2=2), 1e-6 * before))
+    after *= np.minimum(0.5 * coverage_factors(offset, u, weight, np.sqrt(after)), 1.0) ** 2
     share = np.sqrt(np.maximum(after - before, 0.0) / np.maximum(np.diag(more), 1e-300))
     return np.asarray(more * np.outer(share, share))
 
 
 def coefficients(problem: Problem, kind: str) -> list[int]:
-    """Where the coefficients over temperature of a kind of sensor stand among the parameters."""
+    """Return the places of the temperature coefficients of a kind of sensor among the parameters."""
     names = problem.instrument.names
     return [i for i, name in enumerate(names) if sensor_kind(name) == kind and variable_of(name) in THERMAL]
 
 
-def log_odds_of_change(found: Array, sizes: Array) -> float:
-    """ln of the odds that coefficients are as large as is usual rather than zero, where both were as likely beforehand:
-    the density of zero by the prior, of standard deviations `sizes` (k,), over that afterwards, by covariance and
-    values (k, k + 1) (Savage and Dickey)."""
-    covariance, values = found[:, :-1] / np.outer(sizes, sizes), found[:, -1] / sizes
+def log_odds_of_change(solution: Array, sizes: Array) -> float:
+    """Return ln of the Savage–Dickey odds that coefficients have usual `sizes` (k,) rather than being zero.
+
+    `solution` (k, k + 1) are their covariance and values; both hypotheses have equal prior probability."""
+    covariance, values = solution[:, :-1] / np.outer(sizes, sizes), solution[:, -1] / sizes
     return 0.5 * float(values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
 
 
 def widths(lags: Array) -> Array:
-    """Widths (L,) of lags in ascending order, by which sums over them are integrals."""
+    """Return the weights (L,) of the trapezoidal rule for ascending lags."""
     step = np.diff(lags)
     return np.asarray(0.5 * (np.append(step, 0.0) + np.append(0.0, step)))
 
@@ -197,8 +197,8 @@ def widths(lags: Array) -> Array:
 def resolved(at_lags: Callable[[Array], tuple[Array, Array]], lags: Array) -> tuple[Array, Array, Array]:
     """Refine a grid of lags until none has a probability above RESOLVED, or HALVINGS times.
 
-    `at_lags` gives −2 ln of the likelihood of lags (L,) and the solutions with them (L, …). Returned are the lags in
-    ascending order, their probabilities, and their solutions."""
+    `at_lags` returns −2 ln of the likelihood of lags (L,) and the solutions there (L, …). Returns the lags in ascending
+    order, their probabilities, and their solutions."""
     deviance, solutions = at_lags(lags)
     for halved in range(HALVINGS + 1):
         weight = np.exp(-0.5 * (deviance - deviance.min())) * widths(lags)
@@ -207,8 +207,8 @@ def resolved(at_lags: Callable[[Array], tuple[Array, Array]], lags: Array) -> tu
             break
         heavy = weight > 0.1 * RESOLVED
         between = np.flatnonzero(heavy[1:] | heavy[:-1])
-        more = 0.5 * (lags[between] + lags[between + 1])
-        others, moved_others = at_lags(more)
-        lags, deviance = np.insert(lags, between + 1, more), np.insert(deviance, between + 1, others)
-        solutions = np.insert(solutions, between + 1, moved_others, axis=0)
+        middle = 0.5 * (lags[between] + lags[between + 1])
+        middle_deviance, middle_solutions = at_lags(middle)
+        lags, deviance = np.insert(lags, between + 1, middle), np.insert(deviance, between + 1, middle_deviance)
+        solutions = np.insert(solutions, between + 1, middle_solutions, axis=0)
     return lags, weight, solutions

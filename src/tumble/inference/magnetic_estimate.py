@@ -1,15 +1,15 @@
-"""The start of a magnetometer in the estimate of a session, and what the estimate says of it.
+"""Initial values of a magnetometer in the joint estimate of a session, and its result.
 
-Start. The readings m at the stations lie on an ellipsoid about the hard iron, of which the coefficients are the last
-right singular vector of the rows of its monomials: (m − b)ᵀ H (m − b) = 1, and with H⁻¹ = A Aᵀ the field is along
-Q q, q = A⁻¹ (m − b), by an orthogonal Q. At one place the angle between the vertical u and the field is the same in
-every attitude,
+The readings m at the stations lie on an ellipsoid about the hard iron b, (m − b)ᵀ H (m − b) = 1, whose coefficients are
+the last right singular vector of the matrix of its monomials. With H⁻¹ = A Aᵀ the field is along Q q, q = A⁻¹ (m − b),
+with an orthogonal Q. At one place the angle between the vertical u and the field is the same in every attitude,
 
     uᵢᵀ Q qᵢ = −sin I for all stations i,
 
-which tells Q up to its sign: of all exchanges of axes and signs the one that scatters least, and a rotation by least
-squares from there. Of Q and −Q it is the one whose field points down in the north, where the latitude is known, and
-else a rotation. Attitudes of each chain are then turned about the vertical so that the field is to the north.
+which determines Q up to its sign: the permutation of axes and signs with the smallest scatter, followed by a rotation
+from least squares. Of Q and −Q, the field of the right one points down in the north if the latitude is known; otherwise
+it is the one that is a rotation. The attitudes of each chain are then turned about the vertical so that the field is
+north.
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ import numpy as np
 
 from tumble.inference.estimate import DETERMINED, Fit
 from tumble.inference.fits import LEFT_OUT, MAGNETOMETER, chi_squares, left_out, sigmas, weighted
-from tumble.inference.integral import conditional, covariance_with_local
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.magnetometer import DIP, Magnetometer
-from tumble.inference.maximum import Maximum, integrated, moved
+from tumble.inference.maximum import Maximum, reintegrated_turns, take_step
 from tumble.inference.noise import NoiseModel, VarianceComponents
 from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Problem
@@ -32,59 +31,51 @@ from tumble.rotation import UP, rotation_matrix, unit_vector
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
-FEWEST = 9
-"""Stations: fewer determine no ellipsoid."""
-FLAT = 1e-3
-"""Second smallest singular value of an ellipsoid's rows, over the largest: below, more than one goes through them."""
-SPARE, WITHOUT, NEAR = 3, 0.2, 1e-3
-"""Readings more than the fewest that are kept; the part of the sum of squares to which it falls without one that is not
-near the ellipsoid of the others; and their root mean square distance from it, in parts of the field, below which all
-are."""
-SCATTER_LIMIT = 2e-2
-"""Scatter of the readings, in parts of the field, above which a magnetometer is refused: near steel the field is not
-the same everywhere."""
-NEAR_EQUATOR = 20.0 * DEGREE
-"""Nearer the equator the field may point either way."""
-TRIED, TURNED = 3, 0.3
-"""Exchanges of axes from which a rotation is looked for, and its standard deviation beforehand, rad."""
+FEWEST = 9  # stations that determine an ellipsoid
+FLAT = 1e-3  # second smallest singular value over the largest, below which the ellipsoid is not unique
+SPARE = 3  # readings beyond the fewest that are always kept
+WITHOUT = 0.2  # a reading is an outlier if the sum of squares falls to this part without it
+NEAR = 1e-3  # root mean square distance from the ellipsoid, relative to the field, below which there is no outlier
+SCATTER_LIMIT = 2e-2  # scatter, relative to the field, above which the magnetometer is refused: the field varies
+NEAR_EQUATOR = 20.0 * DEGREE  # latitude below which the field may point up or down
+TRIED, TURNED = 3, 0.3  # permutations of axes refined by a rotation, and prior standard deviation of its angles, rad
+# Scatter of the readings, relative to the field, in the first steps, so that the magnetometer is fitted to the other
+# sensors before they are to it; and number of these steps.
 LOOSE, FIRST_STEPS = 0.01, 4
-"""Scatter of the readings, in parts of the field, and how many steps are taken with it from the start, so that the
-magnetometer follows the other sensors before they follow it."""
-EXCHANGES = np.array([
+EXCHANGES = np.array([  # all permutations of axes and signs (48, 3, 3)
     np.array(signs)[:, None] * np.eye(3)[list(order)]
     for order in permutations(range(3))
     for signs in product((1.0, -1.0), repeat=3)
 ])  # fmt: skip
-"""All exchanges of axes and signs (48, 3, 3)."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class MagnetometerEstimate:
-    """What an estimate says of a magnetometer.
+    """Estimate of a magnetometer.
 
     Parameters
     ----------
     names, values : (12,)
         Parameters of its block: biases in its unit, scale-factor errors, and axis angles, rad.
     covariance : (12, 12)
-        Their covariance, the other parameters given.
+        Covariance of the values given the parameters of the other sensors.
     by_parameters : (12, m)
-        Their derivatives by the other parameters, through the attitudes.
+        Derivatives of the values by these parameters, through the attitudes.
     model
-        The sensors of these values, in the frame of the accelerometers.
+        Sensors with these values, in the frame of the accelerometers.
     magnetometer
-        Its nominal axes, and the modulus of the field.
+        Nominal axes, and modulus of the field.
     dip
-        Of the field, rad.
+        Dip of the field, rad.
     fit
-        Chi-square of its readings.
+        Chi-square of the readings.
     left_out, sigmas, off : (K,)
-        Of its readings, rests before nodes, which were left out, how far each is from the fit, and by how much its
-        modulus is off, in its unit.
+        For the readings at rests, then at nodes: True for outliers left out, distance from the fit in sigmas, and error
+        of the modulus, in its unit.
     time : (K,)
-        When they were taken, s.
+        Time of the readings, s.
     refused
-        Why there are no values; "" where there are.
+        Reason why the values cannot be used, or "".
     """
 
     names: tuple[str, ...]
@@ -111,7 +102,7 @@ class Readings:
 
     @staticmethod
     def of(problem: Problem) -> Readings | None:
-        """Those of a session; None without a magnetometer."""
+        """Return the readings of a session; None without a magnetometer."""
         rests, links = problem.observations.rests, problem.observations.links
         values, station = list[Array](), list[IntArray]()
         if rests.magnetometer is not None:
@@ -124,7 +115,9 @@ class Readings:
 
 
 def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
-    """The start of a session with the readings of its magnetometer; without them, and why, where they tell nothing."""
+    """Add the magnetometer of a session to its first linearisation.
+
+    Returns the linearisation and "", or the same linearisation and the reason why its readings cannot be used."""
     problem, point = start.problem, start.point
     readings = Readings.of(problem)
     if readings is None:
@@ -151,10 +144,10 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     model = SensorModel(matrix=S, bias=sphere.bias)
     level = (attitudes @ unit_vector(model.apply(used))[:, :, None])[:, :, 0]
     chain, towards = problem.chain, level[:, 0] + 1j * level[:, 2]
-    whole = [np.bincount(chain[station[kept]], part, chain[-1] + 1) for part in (towards.real, towards.imag)]
-    turned = rotation_matrix(np.arctan2(whole[1], whole[0])[chain][:, None] * UP) @ point.attitudes
-    own = np.concatenate([magnetometer.block.parameters(model), np.zeros(len(magnetometer.u) - DIP)])
-    local = np.concatenate([np.broadcast_to(own, (len(point.local), len(own))), point.local], axis=1)
+    north, east = (np.bincount(chain[station[kept]], part, chain[-1] + 1) for part in (towards.real, towards.imag))
+    turned = rotation_matrix(np.arctan2(east, north)[chain][:, None] * UP) @ point.attitudes
+    unknowns = np.concatenate([magnetometer.block.parameters(model), np.zeros(len(magnetometer.u) - DIP)])
+    local = np.concatenate([np.broadcast_to(unknowns, (len(point.local), len(unknowns))), point.local], axis=1)
     problem, point, about = (
         problem.with_magnetometer(magnetometer),
         replace(point, attitudes=turned, local=local),
@@ -163,14 +156,14 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     loose, begun = VarianceComponents(mag=LOOSE * field), linearise(problem, point, about)
     weights = _weights(problem, begun.noise, np.where(kept, 1.0, LEFT_OUT[-1]))
     for _ in range(FIRST_STEPS):
-        point, _ = moved(solve(replace(begun, noise=begun.noise.weighted(*weights)), loose))
-        about = integrated(problem, point, about)
+        point, _ = take_step(solve(replace(begun, noise=begun.noise.weighted(*weights)), loose))
+        about = reintegrated_turns(problem, point, about)
         begun = linearise(problem, point, about)
     return replace(begun, noise=begun.noise.weighted(*weights)), ""
 
 
 def _weights(problem: Problem, noise: NoiseModel, of_readings: Array) -> tuple[Array, Array, Array]:
-    """Square roots of the weights of all rows, of the weights (K,) of the readings."""
+    """Return square roots of the weights of all rows for weights (K,) of the readings."""
     N, nodes = len(problem.observations.rests), np.ones(len(problem.before_link))
     if problem.observations.links is not None:
         nodes[problem.observations.links.magnetic] = of_readings[N:]
@@ -179,9 +172,10 @@ def _weights(problem: Problem, noise: NoiseModel, of_readings: Array) -> tuple[A
 
 
 def ellipsoid_through(readings: Array) -> tuple[SensorModel, BoolArray] | None:
-    """The sensors whose readings (K, 3) of unit vectors these are, in any frame, by the algebraic ellipsoid through
-    them; None where there is none, or more than one. With it the readings (K,) that are near it: one without which the
-    sum of squares falls to a part WITHOUT is not."""
+    """Fit an algebraic ellipsoid to readings (K, 3) of unit vectors in an arbitrary frame.
+
+    Returns the sensors with these readings, and True for the readings (K,) that are no outliers; None without a unique
+    ellipsoid."""
     if len(readings) < FEWEST or not np.isfinite(readings).all():
         return None
     mean, size = readings.mean(axis=0), readings.std(axis=0)
@@ -193,12 +187,12 @@ def ellipsoid_through(readings: Array) -> tuple[SensorModel, BoolArray] | None:
     )
     kept = np.ones(len(rows), dtype=bool)
     while kept.sum() > FEWEST + SPARE:
-        some = np.flatnonzero(kept)
-        normal, own = rows[some].T @ rows[some], rows[some]
-        least = np.linalg.eigvalsh(normal - own[:, :, None] * own[:, None, :])[:, 0]
-        if least.min() > WITHOUT * max(np.linalg.eigvalsh(normal)[0], NEAR**2 * len(some)):
+        used = np.flatnonzero(kept)
+        normal, row = rows[used].T @ rows[used], rows[used]
+        without_one = np.linalg.eigvalsh(normal - row[:, :, None] * row[:, None, :])[:, 0]
+        if without_one.min() > WITHOUT * max(np.linalg.eigvalsh(normal)[0], NEAR**2 * len(used)):
             break
-        kept[some[np.argmin(least)]] = False
+        kept[used[np.argmin(without_one)]] = False
     _, length, axes = np.linalg.svd(rows[kept], full_matrices=True)
     if length[8] < FLAT * length[0]:
         return None
@@ -215,16 +209,16 @@ def ellipsoid_through(readings: Array) -> tuple[SensorModel, BoolArray] | None:
 
 
 def block_near(matrix: Array) -> Block:
-    """The block of a magnetometer whose nominal axes are those nearest to a sensitivity matrix (3, 3)."""
+    """Return the magnetometer block with the nominal axes nearest to a sensitivity matrix (3, 3)."""
     return Block(kind="mag", axes=EXCHANGES[np.argmax((EXCHANGES * matrix).sum(axis=(1, 2)))])
 
 
 def _orientation(q: Array, vertical: Array) -> tuple[Array, float]:
-    """The orthogonal Q with which the angle between the verticals (K, 3) and Q q is the same everywhere, by the unit
-    vectors q (K, 3), and its cosine; −Q does as well."""
-    every = np.einsum("ki,eij,kj->ek", vertical, EXCHANGES, q)
+    """Return the orthogonal Q that makes the angle between the verticals (K, 3) and Q q the same for all q (K, 3), and
+    its cosine; −Q is as good."""
+    cosines = np.einsum("ki,eij,kj->ek", vertical, EXCHANGES, q)
     best, least = (EXCHANGES[0], 0.0), np.inf
-    for i in np.argsort(every.std(axis=1))[: 2 * TRIED : 2]:
+    for i in np.argsort(cosines.std(axis=1))[: 2 * TRIED : 2]:
         Q = EXCHANGES[i]
         for _ in range(5):
             turned = q @ Q.T
@@ -241,34 +235,33 @@ def _orientation(q: Array, vertical: Array) -> tuple[Array, float]:
 
 
 def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate | None:
-    """What the maximum says of the magnetometer of a session, None without one.
+    """Return the estimate of the magnetometer of a session; None without one.
 
     Parameters
     ----------
     fitted
-        The maximum.
+        The joint maximum.
     step : (1 + m,)
-        What gravity and the parameters are from its last linearisation, hyperparameters integrated out.
+        Posterior step of gravity and the parameters from the last linearisation.
     """
     problem, solution, links = fitted.problem, fitted.solution, fitted.problem.observations.links
     magnetometer, readings = problem.magnetometer, Readings.of(problem)
     if magnetometer is None or readings is None:
         return None
-    here = conditional(solution)
-    covariance, across = here.covariance[1:, 1:], covariance_with_local(solution, slice(DIP))[:, 1:]
+    covariance, across = solution.session_covariance[1:, 1:], solution.session_covariance_with(slice(DIP))[:, 1:]
     u = np.sqrt(covariance.diagonal())
     by_parameters = np.linalg.solve(covariance / np.outer(u, u), (across / u).T).T / u
-    own = fitted.point.local[0, : len(magnetometer.u)].copy()
-    own[:DIP] += by_parameters @ (step - here.step)[1:]
-    model, (*_, mag, at_nodes) = magnetometer.model(own), sigmas(solution)
+    unknowns = fitted.point.local[0, : len(magnetometer.u)].copy()
+    unknowns[:DIP] += by_parameters @ (step - solution.session_step)[1:]
+    model, (*_, mag, at_nodes) = magnetometer.model(unknowns), sigmas(solution)
     *_, omitted, omitted_nodes = left_out(problem, fitted.linearisation.noise)
     magnetic = np.zeros(0, dtype=bool) if links is None else links.magnetic
     rests = problem.observations.rests
     time = 0.5 * (rests.start + rests.stop) if links is None else links.time[readings.station]
-    alone, fit = solution.session_covariances[0, :DIP, :DIP], chi_squares(solution)[MAGNETOMETER]
-    loose = np.sqrt(alone.diagonal()) > magnetometer.u[:DIP] / DETERMINED
-    named = np.array(magnetometer.block.names)[loose].tolist()
-    refused = f"nothing determines {', '.join(named)}: take more attitudes" if named else ""
+    marginal, fit = solution.session_covariances[0, :DIP, :DIP], chi_squares(solution)[MAGNETOMETER]
+    undetermined = np.sqrt(marginal.diagonal()) > magnetometer.u[:DIP] / DETERMINED
+    names = np.array(magnetometer.block.names)[undetermined].tolist()
+    refused = f"nothing determines {', '.join(names)}: take more attitudes" if names else ""
     if fit.scatter > SCATTER_LIMIT * magnetometer.field:
         refused = (
             f"the readings scatter by {fit.scatter:.3g}, more than {100 * SCATTER_LIMIT:g} % of the field: the field "
@@ -276,12 +269,12 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
         )
     return MagnetometerEstimate(
         names=magnetometer.block.names,
-        values=own[:DIP],
-        covariance=alone - by_parameters @ across.T,
+        values=unknowns[:DIP],
+        covariance=marginal - by_parameters @ across.T,
         by_parameters=by_parameters,
         model=model,
         magnetometer=magnetometer,
-        dip=magnetometer.dip + float(own[DIP]),
+        dip=magnetometer.dip + float(unknowns[DIP]),
         fit=fit,
         left_out=np.concatenate([omitted, omitted_nodes[magnetic]]),
         sigmas=np.concatenate([mag, at_nodes[magnetic]]),

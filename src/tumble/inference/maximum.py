@@ -1,25 +1,26 @@
-"""The joint maximum of the likelihood over the unknowns x and the hyperparameters φ.
+"""Joint maximum of the likelihood over the unknowns x and the hyperparameters φ.
 
-x are gravity, the parameters, what each session has beside, the attitudes and the states of the in-run biases: what
-is linear, or nearly so, given φ (`tumble.inference.hyperparameters`). Maximised is
+x are gravity, the parameters, those of each session, the attitudes and the states of the in-run biases: the problem is
+linear, or nearly so, in x given φ (`tumble.inference.hyperparameters`). The function to maximise is the logarithm of
+the posterior of φ with x integrated out, r being the residuals at x̂(φ),
 
     ℓ(φ) = ln p(φ) − ½ [rᵀV⁻¹r + x̂ᵀP₀x̂ + ln |V| − ln |P₀| + 2 Σ ln |diag R|]
 
-the logarithm of the posterior of φ with x integrated out, r being the residuals at x̂(φ)
-(`tumble.inference.normal_equations`): docs/explanation/mathematics.md (23), (28) and (29).
+docs/explanation/mathematics.md (23), (28) and (29).
 
-    x   Gauss–Newton: x ← x + argmin over the rows linearised at x. Turns are integrated again about the current
-        parameters wherever the second-order effect of the change since counts.
-    φ   at fixed rows a trust region: s = B⁻¹γ, |s|∞ ≤ Δ, with the analytic score γ, and B, at first the average
-        information, then by the updates of Broyden, Fletcher, Goldfarb and Shanno, and where these have settled the
-        average information there, with which it goes on where φ has not. Sizes λ = exp(max(p, 0)) have p ≥ 0:
-        below, p has nothing to do with the data.
+    x   Gauss–Newton: x ← x + argmin of the residuals linearised at x. Turns are integrated again about the current
+        parameters wherever the second-order effect of the change since the last integration matters.
+    φ   at fixed residuals a trust region: s = B⁻¹γ, |s|∞ ≤ Δ, with the analytic gradient γ. B is the average
+        information at first, then updated by BFGS; once these steps have settled it is the average information there,
+        with which the iteration goes on if φ has not settled. Sizes λ = exp(max(p, 0)) keep p ≥ 0, because the data do
+        not depend on p below.
 
-It ends where a step of x is negligible beside u (CONVERGED) and ½ γᵀB⁻¹γ, what ℓ would still gain, below GAIN
-for every element of φ (`Status.converged`); or it runs out, which is said and is no result.
+The iteration ends when a step of x is negligible relative to u (CONVERGED) and ½ γᵀB⁻¹γ, the expected gain of ℓ, is
+below GAIN per element of φ (`Status.converged`), or when it runs out of steps, which is no result.
 
-A chain of turns whose heading the gyros hardly see (no better than UNSEEN) keeps it where it is: it is still an unknown
-of every step, so that it takes nothing from the parameters. So does gravity of an unknown place.
+The mean heading of a chain of turns that the gyros hardly observe (worse than UNSEEN) is not changed. It stays an
+unknown of every step, so that it takes no information from the parameters. The same holds for the gravity of an unknown
+place.
 """
 
 from __future__ import annotations
@@ -51,47 +52,33 @@ from tumble.inference.hyperparameters import (
     score,
     solution_at,
 )
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import NO_COMPONENTS, REST_SCATTER, SCATTER, VarianceComponents
 from tumble.inference.normal_equations import Solution, solve
 from tumble.inference.problem import Point, Problem
-from tumble.inference.turns_about import TurnsAbout
 from tumble.units import Array, BoolArray
 
-MAX_ITERATIONS = 40
-"""Linearisations at most."""
-BEYOND = 3.0
-"""Times the usual: scatter or a size for which another maximum is looked for."""
-USELESS = {"turn": 0.3, "velocity": 3.0}
-"""rad and m/s: the scatter of turns that say nothing."""
-WIDE = 3.0
-"""Standard deviations of p: the sizes of groups that are looked for from above."""
-ANEW = 3.0
-"""s: a correlation time of biases that are anew at every rest."""
-STEPS = 12
-"""Steps over φ at one linearisation at most."""
-CONVERGED = 1e-3
-"""Of the standard uncertainty: a step of x that is negligible."""
-SETTLED = 0.05
-"""A change of the weight of a row that is none."""
+MAX_ITERATIONS = 40  # linearisations
+STEPS = 12  # steps of φ per linearisation
+CONVERGED = 1e-3  # step of x, in u, that is negligible
+# Expected gain of ℓ per element at which φ has settled: within 0.05 of its standard deviations, root mean square.
 GAIN = 0.5 * 0.05**2
-"""What ℓ would still gain by each element of φ where φ counts as settled: they are within 0.05 of their standard
-deviations, root mean square."""
+WEIGHT_CHANGE = 0.05  # change of the weight of a row that is negligible
+# φ is not moved until a step of x is below NEAR u, for at most FAR_STEPS linearisations: residuals are far off till
+# then.
 NEAR, FAR_STEPS = 1.0, 2
-"""Of u: until x is so near, at most for so many linearisations, φ stays as it is, for residuals are of x then."""
-SAME = 0.1
-"""Of an element of φ: what ℓ may be below a maximum, and would be by its curvature, on the way there."""
-FURTHEST = 2.0
-"""Δ at first and at most."""
-SQUARED = 10.0
-"""Error after a step of Gauss–Newton, in units of the spreads, over the square of the step."""
-UNSEEN = 0.2
-"""rad: a heading that the gyros know to no better."""
+SAME = 0.1  # of ℓ per element of φ: how near to another maximum an iteration from below counts as leading there
+FURTHEST = 2.0  # Δ at first, and its upper limit
+SQUARED = 10.0  # error after a step of Gauss–Newton over the square of the step, in units of the spreads
+UNSEEN = 0.2  # rad: standard deviation above which a heading is not observed by the gyros
+# Linearisations after which a heading that still moves is not observed, and weights of rows go half of the way.
 TO_AND_FRO = 6
-"""Linearisations after which a heading that still moves is one that the gyros do not know either, and weights of rows
-go half the way."""
-PLACE_UNKNOWN = 1e-3
-"""Normal gravity is known to a third of that anywhere."""
+PLACE_UNKNOWN = 1e-3  # relative u of gravity of an unknown place, three times that of normal gravity anywhere
+BEYOND = 3.0  # times the usual: scatter or a size that large makes `maximise_from_starts` try other starts
+USELESS = {"turn": 0.3, "velocity": 3.0}  # rad and m/s: scatter with which turns have no information
+WIDE = 3.0  # prior standard deviations of p from which sizes of groups start
+ANEW = 3.0  # s: correlation time of biases that change at every rest
 
 
 class Status(Enum):
@@ -103,22 +90,22 @@ class Status(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Maximum:
-    """The joint maximum.
+    """Joint maximum of ℓ, or where the iteration ran out.
 
     Parameters
     ----------
     linearisation
-        The rows it is of, with groups of usual size.
+        Last linearisation, with groups of usual size.
     hyperparameters
-        The elements of φ.
+        Elements of φ.
     solution
-        The solution and ℓ at the maximum, with priors of the size there.
+        Solution and ℓ at the maximum, with priors of the sizes there.
     point
-        The point after the last step.
+        Point after the last step.
     curvature : (D, D)
-        B, the curvature of −ℓ by φ.
+        B, minus the second derivative of ℓ.
     increments
-        The changes (m,) of the parameters by linearisation.
+        Step of the parameters (m,) in each iteration.
     status
         Why the iteration ended.
     """
@@ -133,54 +120,55 @@ class Maximum:
 
     @property
     def usual_problem(self) -> Problem:
-        """The problem with groups of usual size."""
+        """Problem with groups of usual size."""
         return self.linearisation.problem
 
     @property
     def problem(self) -> Problem:
-        """The problem with priors of the size at the maximum."""
+        """Problem with groups of the sizes at the maximum."""
         return self.solution.problem
 
     @property
     def phi(self) -> Array:
-        """φ (D,) at the maximum."""
+        """Hyperparameters (D,) at the maximum."""
         return self.solution.phi
 
     @property
     def converged(self) -> bool:
-        """Whether it is one."""
+        """True unless the iteration ran out of steps."""
         return self.status is Status.converged
 
     @property
     def components(self) -> VarianceComponents:
-        """The components of variance at the maximum."""
+        """Components of variance at the maximum."""
         return self.solution.components
 
 
-def maximum(
+def maximise(
     start: Linearisation,
     phi: Array | None = None,
     iterations: int = MAX_ITERATIONS,
     robust: bool = False,
     known: Maximum | None = None,
 ) -> Maximum:
-    """The joint maximum of x and φ.
+    """Find the joint maximum of ℓ over x and φ.
 
     Parameters
     ----------
     start
-        The linearisation to begin from, with groups of usual size.
+        First linearisation, with groups of usual size.
     phi : (D,)
-        Where φ begins; at the most likely values by its prior where None, or where there are other elements.
+        First φ; the centre of its prior if None, or if the problem has other elements.
     iterations
-        Linearisations at most.
+        Largest number of linearisations.
     robust
-        Whether rows are Student-t (`tumble.inference.fits`).
+        True for residuals with a Student-t distribution (`tumble.inference.fits`).
     known
-        A maximum that is returned where φ comes so close to it from below that it leads there again.
+        A maximum found before, which is returned as soon as the iteration comes so close to it from below that it leads
+        there again.
     """
     problem, linearisation = start.problem, start
-    hyperparameters = hyperparameters_of(problem, start.noise, _seen(solve(start, NO_COMPONENTS)))
+    hyperparameters = hyperparameters_of(problem, start.noise, _estimable(solve(start, NO_COMPONENTS)))
     if phi is None or len(phi) != len(hyperparameters):
         phi = hyperparameters.centre
     increments, near, phi_settled, B, radius = list[Array](), False, False, None, FURTHEST
@@ -188,22 +176,22 @@ def maximum(
         solution = solution_at(linearisation, hyperparameters, phi)
         near = near or len(increments) >= FAR_STEPS or negligible(solution, NEAR)
         if near:
-            solution, B, radius, phi_settled = likeliest_phi(hyperparameters, solution, B, radius)
+            solution, B, radius, phi_settled = maximise_phi(hyperparameters, solution, B, radius)
         phi = solution.phi
         if known is not None and near and len(phi) == len(known.phi):
-            away, below = phi - known.phi, float(known.solution.log_posterior - solution.log_posterior)
-            if max(below, 0.5 * float(away @ known.curvature @ away)) < SAME * len(phi) and below > 0.0:
+            offset, below = phi - known.phi, float(known.solution.log_posterior - solution.log_posterior)
+            if max(below, 0.5 * float(offset @ known.curvature @ offset)) < SAME * len(phi) and below > 0.0:
                 return known
 
-        # x by a step of Gauss–Newton, to where rows are linearised next
-        point, change = moved(solution, keep=len(increments) >= TO_AND_FRO)
+        # Gauss–Newton step of x, to the point of the next linearisation
+        point, change = take_step(solution, keep=len(increments) >= TO_AND_FRO)
         increments.append(change)
-        about, noise = integrated(problem, point, linearisation.about), linearisation.noise
+        about, noise = reintegrated_turns(problem, point, linearisation.about), linearisation.noise
         weights = before = noise.weights
         if robust:
             weights = weighted(problem, noise, student_weights(chi_square_falls(solution))).weights
-        weights_settled = all(np.all(np.abs(a**2 - b**2) < SETTLED) for a, b in zip(weights, before, strict=True))
-        if len(increments) >= TO_AND_FRO:  # rows that have the blame by turns share it
+        weights_settled = all(np.all(np.abs(a**2 - b**2) < WEIGHT_CHANGE) for a, b in zip(weights, before, strict=True))
+        if len(increments) >= TO_AND_FRO:  # so that two rows do not get the low weight alternately
             rest, turn, link = (np.sqrt(0.5 * (a**2 + b**2)) for a, b in zip(weights, before, strict=True))
             weights = rest, turn, link
         settled = negligible(solution) and about is linearisation.about and phi_settled and weights_settled
@@ -221,26 +209,26 @@ def maximum(
         linearisation = replace(linearisation, noise=linearisation.noise.weighted(*weights))
 
 
-def likeliest_phi(
+def maximise_phi(
     hyperparameters: Hyperparameters, solution: Solution, B: Array | None = None, radius: float = FURTHEST
 ) -> tuple[Solution, Array, float, bool]:
-    """The likeliest φ at fixed rows, by a trust region of at most STEPS steps.
+    """Maximise ℓ over φ at fixed residuals, by at most STEPS steps of a trust region.
 
     Parameters
     ----------
     hyperparameters, solution
-        The elements of φ, and a solution to begin from.
+        Elements of φ, and the first solution.
     B : (D, D)
-        The curvature of −ℓ by φ, as far as it is known; that of the average information where None.
+        Approximation to minus the second derivative of ℓ; the average information if None.
     radius
         Δ, the largest step.
 
     Returns
     -------
     solution, B, radius
-        The last solution, with curvature and Δ. Where x has settled, too, B is the average information there.
+        Last solution, B and Δ. If x has settled, too, B is the average information there.
     settled
-        Whether ℓ would gain by B no more than GAIN by each element.
+        True if the expected gain of ℓ is below GAIN per element.
     """
     exact, linearisation, bounded = B is None, solution.linearisation, hyperparameters.bounded
     gradient, enough = score(hyperparameters, solution), GAIN * max(1, len(hyperparameters))
@@ -255,7 +243,7 @@ def likeliest_phi(
             raise np.linalg.LinAlgError("a step over what the model does not know of itself is not finite")
         if gain < enough and (exact or not negligible(solution)):
             break
-        if gain < enough:  # settled as far as B tells: once more by the average information
+        if gain < enough:  # settled by the updated B: confirm with the average information
             B, exact = average_information(hyperparameters, solution), True
             continue
         step *= min(1.0, radius / float(np.abs(step).max()))
@@ -264,31 +252,30 @@ def likeliest_phi(
         tried_gradient = score(hyperparameters, tried)
         expected = float(gradient @ step - 0.5 * step @ B @ step)
         gained = float(tried.log_posterior - solution.log_posterior)
-        B, exact = _updated(B, step, gradient - tried_gradient), False
-        small = gained < 0.1 * expected or expected <= 0.0
-        radius = 0.3 * float(np.abs(step).max()) if small else min(2.0 * radius, FURTHEST)
+        B, exact = _bfgs_update(B, step, gradient - tried_gradient), False
+        poor = gained < 0.1 * expected or expected <= 0.0
+        radius = 0.3 * float(np.abs(step).max()) if poor else min(2.0 * radius, FURTHEST)
         if gained > 0.0:
             solution, gradient = tried, tried_gradient
     return solution, B, radius, gain < enough
 
 
-def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum:
-    """The highest of the maxima that several starts of φ lead to.
+def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum:
+    """Return the highest of the maxima from several starts of φ.
 
-    The usual φ is the first start. Where it leads to scatter or sizes far beyond the usual, others follow:
+    The first start is the centre of the prior. If it leads to scatter or sizes far beyond the usual, others follow:
 
-    * turns of large scatter: where turns are spoilt, parameters and accelerometers may have taken the blame;
-    * groups far larger than usual: scatter may have taken what is theirs;
-    * where rests scatter, biases that are anew at every rest, a turn having that of the rest before it or of the rest
-      after it."""
-    best = maximum(start, iterations=iterations)
+    * turns of large scatter, because parameters and accelerometers may be blamed for spoilt turns;
+    * groups far larger than usual, because scatter may have absorbed their effect;
+    * if rests scatter, biases that change at every rest, with the bias of a turn that of the rest before or after."""
+    best = maximise(start, iterations=iterations)
     if start.problem.observations.turns is None:
         return best
     hyperparameters, starts = best.hyperparameters, list[tuple[float, Array]]()
     centre = np.array([h.centre for h in hyperparameters])
     sizes = {h.name: float(h.value(p)) for h, p in zip(hyperparameters, best.phi, strict=True)}
     far = [h for h in hyperparameters if sizes[h.name] > BEYOND * h.usual and not isinstance(h, CorrelationTime)]
-    far = [h for h in far if h.name != "mag"]  # which takes no blame from others
+    far = [h for h in far if h.name != "mag"]  # the magnetometer does not absorb errors of others
     share = start.problem.bias_after
     if any(isinstance(h, (Scatter, GroupSize)) for h in far):
         useless = [np.log(USELESS[h.name]) if h.name in USELESS else h.centre for h in hyperparameters]
@@ -310,71 +297,69 @@ def likeliest(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum
     for bias_after, phi in starts:
         problem = replace(start.problem, bias_after=bias_after)
         known = best if bias_after == best.linearisation.problem.bias_after else None
-        other = maximum(replace(start, problem=problem), phi, iterations, known=known)
+        other = maximise(replace(start, problem=problem), phi, iterations, known=known)
         if other.converged and other.solution.log_posterior > best.solution.log_posterior:
             best = other
     return best
 
 
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
-    """The maximum without the rests and turns that do not fit; the same where all do."""
-    every = np.concatenate(sigmas(fitted.solution)[: 3 if fitted.problem.magnetometer is None else 5])
-    whole = all(np.all(each == 1.0) for each in fitted.linearisation.noise.weights)
-    if whole and (not len(every) or 2.0 * scipy.special.ndtr(-every.max()) * len(every) > STANDS_OUT):
+    """Return the maximum without rests and turns that are outliers; `fitted` itself if there are none."""
+    distances = np.concatenate(sigmas(fitted.solution)[: 3 if fitted.problem.magnetometer is None else 5])
+    whole = fitted.linearisation.noise.whole
+    if whole and (not len(distances) or 2.0 * scipy.special.ndtr(-distances.max()) * len(distances) > STANDS_OUT):
         return fitted
-    robust = maximum(fitted.linearisation, fitted.phi, iterations, robust=True)
-    dropped = [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(robust.solution))]
-    if whole and not any(each.any() for each in dropped):
+    robust = maximise(fitted.linearisation, fitted.phi, iterations, robust=True)
+    outliers = [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(robust.solution))]
+    if whole and not any(group.any() for group in outliers):
         return fitted
-    weights = [np.where(each, weight, 1.0) for each, weight in zip(dropped, LEFT_OUT, strict=True)]
+    weights = [np.where(group, weight, 1.0) for group, weight in zip(outliers, LEFT_OUT, strict=True)]
     noise = weighted(fitted.usual_problem, robust.linearisation.noise, weights)
-    return maximum(replace(robust.linearisation, noise=noise), robust.phi, iterations)
+    return maximise(replace(robust.linearisation, noise=noise), robust.phi, iterations)
 
 
-def _updated(B: Array, step: Array, change: Array) -> Array:
-    """The update of Broyden, Fletcher, Goldfarb and Shanno of a curvature by the change of the gradient over a step,
-    damped by Powell so that it stays positive; the same where there was no step."""
+def _bfgs_update(B: Array, step: Array, change: Array) -> Array:
+    """Return the BFGS update of B by the change of the gradient over a step, damped (Powell) to stay positive."""
     along = B @ step
-    square, seen = float(step @ along), float(step @ change)
-    if square <= 0.0 or not np.isfinite(seen):
+    square, observed = float(step @ along), float(step @ change)
+    if square <= 0.0 or not np.isfinite(observed):
         return B
-    share = 1.0 if seen >= 0.2 * square else 0.8 * square / (square - seen)
-    mixed = share * change + (1.0 - share) * along
-    return np.asarray(B - np.outer(along, along) / square + np.outer(mixed, mixed) / float(step @ mixed))
+    share = 1.0 if observed >= 0.2 * square else 0.8 * square / (square - observed)
+    damped = share * change + (1.0 - share) * along
+    return np.asarray(B - np.outer(along, along) / square + np.outer(damped, damped) / float(step @ damped))
 
 
-def _seen(solution: Solution) -> BoolArray:
-    """Whether a fit leaves something of each component (c,) of scatter."""
+def _estimable(solution: Solution) -> BoolArray:
+    """Return for each component (c,) of variance whether the fit leaves enough degrees of freedom to estimate it."""
     degrees = np.zeros(len(SCATTER))
     for W, (_, C), (Z, place) in solution.by_kind:
         WZ = W @ Z
-        whole, left = (WZ**2).sum(axis=1), (WZ * (C @ WZ)).sum(axis=1)
-        degrees += np.bincount(place, (left / np.where(whole > 0.0, whole, 1.0)).sum(axis=0), len(degrees))
+        total, free = (WZ**2).sum(axis=1), (WZ * (C @ WZ)).sum(axis=1)
+        degrees += np.bincount(place, (free / np.where(total > 0.0, total, 1.0)).sum(axis=0), len(degrees))
     return np.asarray(degrees > LEAST_DEGREES)
 
 
 def negligible(solution: Solution, share: float = CONVERGED) -> bool:
-    """Whether what is left to do after a step is, as a share of u: Gauss–Newton squares the error, in units of the
-    spreads."""
+    """Return True if the error expected after this step is below a `share` of u: Gauss–Newton squares it."""
     change = np.abs(_with_gravity_kept(solution)[0][1:])
     u = np.sqrt(solution.covariance.diagonal()[1:])
     after = change * min(1.0, SQUARED * float(np.max(change / solution.problem.spread)))
     return bool(np.all(after <= share * u + 1e-15))
 
 
-def moved(solution: Solution, keep: bool = False) -> tuple[Point, Array]:
-    """The point after the step of a solution, shortened so that no parameter moves by more than its spread, and the
-    change of the parameters. Chains whose heading is hardly seen `keep` it, or all chains, unless a magnetometer sees
-    it."""
+def take_step(solution: Solution, keep: bool = False) -> tuple[Point, Array]:
+    """Return the point after the step of a solution, and the step of the parameters.
+
+    The step is shortened so that no parameter moves by more than its spread. The mean heading of chains that the gyros
+    hardly observe is kept, or of all chains if `keep`, unless there is a magnetometer."""
     problem, equations = solution.problem, solution.equations
     parameters, angles, local = _with_gravity_kept(solution)
     share = 1.0 / max(1.0, float(np.max(np.abs(parameters[1:]) / problem.spread)))
     angles, chain = share * angles, problem.chain
-    # chi-square after a step per row, 1 at least: so many times less is known than the noise has it. A heading by
-    # residuals that are many times the Earth's rate would turn to and fro.
-    every = equations.rest_rows, equations.turn_rows, equations.link_rows
-    rows = sum(each.shape[0] * each.shape[1] for each in every)
-    hidden = np.bincount(chain, heading_information(solution)) < UNSEEN**-2 * max(1.0, solution.square / rows)
+    # scaled by chi-square per row: a heading from residuals far above the Earth's rate would oscillate
+    kinds = equations.rest_rows, equations.turn_rows, equations.link_rows
+    count = sum(rows.shape[0] * rows.shape[1] for rows in kinds)
+    hidden = np.bincount(chain, heading_information(solution)) < UNSEEN**-2 * max(1.0, solution.square / count)
     if (keep or hidden.any()) and problem.magnetometer is None:
         mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
         angles[:, 2] -= np.where(hidden | keep, mean, 0.0)[chain]
@@ -387,26 +372,28 @@ def moved(solution: Solution, keep: bool = False) -> tuple[Point, Array]:
 
 
 def _with_gravity_kept(solution: Solution) -> tuple[Array, Array, Array]:
-    """The step of gravity and the parameters (1 + m,), of the angles (N, 3) and of what each session has beside.
-    Gravity of an unknown place (u above PLACE_UNKNOWN of it) stays what it is: no reading tells it from the scale
-    factors, and steps along both, whose product counts, would go to and fro. The step is that of everything else given
-    gravity, δ − C_g δ_g / C_gg; what is not known of gravity stays in the covariance."""
+    """Return the steps of gravity and the parameters (1 + m,), of the angles (N, 3) and of the session parameters.
+
+    The gravity of an unknown place (u above PLACE_UNKNOWN) is not moved: readings determine only its product with the
+    scale factors, along which steps would oscillate. Then the steps are those given gravity, δ − C_g δ_g / C_gg; the
+    uncertainty of gravity stays in the covariance."""
     problem = solution.problem
     if float(problem.prior_u[0]) < PLACE_UNKNOWN * float(problem.prior_mean[0]):
         return solution.parameters, solution.angles, solution.local
-    q, follow = len(problem.local_u), solution.equations.follow
+    q, sensitivity = len(problem.local_u), solution.equations.sensitivity
     by_gravity = solution.parameters[0] / solution.covariance[0, 0]
-    with_gravity = zip(problem.parts, solution.session_covariances[:, :, q], strict=True)
     angles = [
-        solution.angles[part.stations] - by_gravity * follow[part.stations, :3, :-1] @ along
-        for part, along in with_gravity
+        solution.angles[part.stations] - by_gravity * sensitivity[part.stations, :3, :-1] @ along
+        for part, along in zip(problem.parts, solution.session_covariances[:, :, q], strict=True)
     ]
     local = solution.local - by_gravity * solution.session_covariances[:, :q, q]
     return solution.parameters - by_gravity * solution.covariance[:, 0], np.concatenate(angles), local
 
 
 def heading_information(solution: Solution) -> Array:
-    """What the gyros of each station (M,) and of the turn or link after it say of the heading of both, rad⁻²."""
+    """Return the information (M,), rad⁻², of the gyros at each station and in the turn or link after it on its heading.
+
+    A turn has it only on the common heading of both its stations."""
     equations, problem = solution.equations, solution.problem
     d, n, information = equations.unknowns, problem.observations.accel_block.size, np.zeros(len(problem.link))
     information[problem.station] = (equations.rest_rows[:, n:, 2] ** 2).sum(axis=1)
@@ -415,16 +402,16 @@ def heading_information(solution: Solution) -> Array:
     return information
 
 
-def integrated(problem: Problem, point: Point, about: TurnsAbout | None) -> TurnsAbout | None:
-    """The turns, integrated again if the parameters have moved too far since."""
+def reintegrated_turns(problem: Problem, point: Point, about: IntegratedTurns | None) -> IntegratedTurns | None:
+    """Return the turns, integrated again if parameters have moved too far since the last integration."""
     if about is None:
         return None
-    changes = problem.changed_in_turns(point)
+    changes = problem.coefficient_changes(point)
     gyros = slice(problem.instrument.accel.size, None)
-    if changes is not None and about.small(changes[:, gyros], problem.noise_of_turns):
+    if changes is not None and about.are_small(changes[:, gyros], problem.noise_of_turns):
         changes = None
     gyro_changes = 0.0 if changes is None else changes[:, gyros]
-    links_good = about.links is None or about.links.good_for(problem.instrument, point.values, problem.noise_of_parts)
-    if links_good and about.good_for(problem.instrument, point.values, problem.noise_of_turns, gyro_changes):
+    links_good = about.links is None or about.links.valid_at(problem.instrument, point.values, problem.noise_of_parts)
+    if links_good and about.valid_at(problem.instrument, point.values, problem.noise_of_turns, gyro_changes):
         return about
-    return TurnsAbout.of(problem.observations, problem.instrument, point.values, changes)
+    return IntegratedTurns.of(problem.observations, problem.instrument, point.values, changes)

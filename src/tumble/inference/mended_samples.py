@@ -1,20 +1,19 @@
-"""Which suspect samples of turns are replaced: those without which their turn closes better.
+"""Replacement of suspect samples of turns, where the turn closes better without them.
 
 A sample far off its neighbours may be corrupt, or a blow: a device that is put down at 0.1 m/s stops within a sample or
-two, along the axis of one accelerometer where it stands on a face. The samples themselves do not tell one from the
-other (`tumble.reduction.rests.blemishes`), but the turn does. It begins and ends at rest, so that with calibrated
-sensors
+two, along the axis of one accelerometer if it stands on a face. The samples alone do not distinguish the two
+(`tumble.reduction.rests.blemishes`), but the turn does. It begins and ends at rest, so that with calibrated sensors
 
     φ = û_a × C û_b = 0,    Δv = ∫ C f dt − g T û_a = 0,
 
 û being the vertical at the rests a and b, C the rotation, f the specific force in the axes of the body at a and T the
-duration. A blow ends the velocity of the approach: without it the turn misses Δv = 0 by that velocity. A corrupt sample
-of force is missed by its own size times the interval, one of rate by an angle, and through it by a velocity.
+duration. A blow stops the velocity of the approach: without it Δv is that velocity. A corrupt sample of force adds its
+size times the interval to Δv; one of rate adds an angle to φ, and through it a velocity.
 
-A suspect that no blow explains is replaced in any case. The parameters are those of the linear model by a maximum with
-robust rows, from turns in which nothing else is replaced. With Q = |φ|²/σ_φ² + |Δv|²/σ_v² of a turn, σ² being medians
-over the turns, all suspects of a turn are replaced at first unless Q is smaller by ALIKE without; then they are
-replaced or put back run by run where Q falls, until none changes it (at most ROUNDS times).
+A suspect that is too large for a blow is replaced in any case. The parameters are those of the linear model at a robust
+maximum, from turns in which nothing else is replaced. With Q = |φ|²/σ_φ² + |Δv|²/σ_v² of a turn, σ² being medians over
+the turns, all suspects of a turn are replaced at first unless Q is smaller by ALIKE with the recorded samples. Then
+runs of suspects are replaced or put back one by one if Q falls, until none changes (at most ROUNDS times).
 """
 
 from __future__ import annotations
@@ -26,37 +25,31 @@ import numpy as np
 from tumble.inference.lag import maximum_with_lags
 from tumble.inference.maximum import MAX_ITERATIONS, without_outliers
 from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
-from tumble.inference.start import start_of
+from tumble.inference.start import initial_linearisation
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes
 from tumble.reduction.turns.turns import TurnSamples, linear_compensation
 from tumble.rotation import unit_vector
 from tumble.units import Array, BoolArray, IntArray
 
-ANGLE, VELOCITY = 1.0, 5.0
-"""rad and m/s: what no blow does within a sample; a fall from 1.3 m ends with 5 m/s."""
-ROUNDS = 3
-"""Passes over all suspects: the second one takes back what the first took for the lack of another."""
-ALIKE = 4.0
-"""Of Q, two standard deviations: what closes as well either way is replaced, as a corrupt sample that changes no more
-than noise does."""
-MOST_RUNS = 12
-"""Runs of suspects in one turn that are judged one by one; of more, all or none."""
+ANGLE, VELOCITY = 1.0, 5.0  # rad, m/s: larger than a blow causes in a sample; a fall from 1.3 m ends with 5 m/s
+ROUNDS = 3  # passes over all suspects; the second undoes replacements of the first that were due to another suspect
+ALIKE = 4.0  # of Q, two standard deviations: below, suspects are replaced, whose effect is no larger than noise
+MOST_RUNS = 12  # runs of suspects in one turn that are judged one by one; if there are more, all together
 
 
 def with_mended_samples(observations: Observations) -> Observations:
-    """Observations with the suspect samples replaced without which their turns close better.
+    """Return observations in which only those suspect samples are replaced without which their turns close better.
 
     Parameters
     ----------
-    observations : Observations
-        Of one session, with all suspects replaced.
+    observations
+        Observations of one session with all suspects replaced.
 
     Returns
     -------
     Observations
-        With the note of the turns in which samples are replaced. The same where data that contradict each other give
-        no parameters to judge by.
+        With a note of the turns with replaced samples; the same observations if no parameters can be estimated.
     """
     if observations.turn_samples is None or not len(observations.turn_samples.bad.at):
         return observations
@@ -80,22 +73,22 @@ def with_mended_samples(observations: Observations) -> Observations:
 
 
 def _impossible(samples: TurnSamples, suspects: BadSamples) -> BoolArray:
-    """Which suspects (m,) would turn the body by more than ANGLE or move it by more than VELOCITY in one sample."""
+    """Return True for suspects (m,) with an angle above ANGLE or a velocity above VELOCITY in one sample."""
     out = np.zeros(len(suspects.at), dtype=bool)
     for i, at in enumerate(suspects.at.tolist()):
         rates, forces, dt = samples.samples.read(at, at + 1)
-        off = np.hstack([rates[0], forces[0]]) - suspects.values[i]
-        angle, velocity = (float(np.abs(part).max() * dt[0]) for part in np.split(off, 2))
+        deviation = np.hstack([rates[0], forces[0]]) - suspects.values[i]
+        angle, velocity = (float(np.abs(part).max() * dt[0]) for part in np.split(deviation, 2))
         out[i] = not (angle <= ANGLE and velocity <= VELOCITY)
     return out
 
 
 def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArray, impossible: BoolArray) -> BoolArray:
-    """Which runs (r,) of suspects are replaced, those that are `impossible` (m,) being replaced in any case."""
+    """Return True for the runs (r,) of suspects to replace; the `impossible` (m,) are replaced in any case."""
     linear = replace(as_recorded, usual={})
     instrument, local = instruments_of(linear)
     problem = Problem.of(linear, NO_PRIOR, instrument=instrument, local=local, usual={})
-    fitted, _ = maximum_with_lags(start_of(problem)[0], MAX_ITERATIONS)
+    fitted, _ = maximum_with_lags(initial_linearisation(problem), MAX_ITERATIONS)
     if fitted.converged:
         fitted = without_outliers(fitted)
     turns, samples, gyro = linear.turns, linear.turn_samples, linear.gyro_block
@@ -108,7 +101,7 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
     before, after = vertical[turns.first], vertical[turns.last]
 
     def misclosure(replaced: BoolArray) -> tuple[Array, Array]:
-        """|φ|², rad², and |Δv|², m²/s² (K,)."""
+        """Return |φ|², rad², and |Δv|², m²/s² (K,)."""
         bad = _chosen(suspects, replaced[runs] | impossible)
         moments = replace(linear, turn_samples=samples.with_bad(bad)).moments_about(compensation)
         φ = np.cross(before, (moments.C @ after[:, :, None])[:, :, 0])
@@ -120,18 +113,17 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
     number = np.arange(count) - np.searchsorted(turn_of, turn_of)  # of a run within its turn
     number[np.bincount(turn_of)[turn_of] > MOST_RUNS] = 0
     replaced = np.zeros(count, dtype=bool)
-    every = misclosure(~replaced)
-    none = misclosure(replaced)
-    noise = (float(np.median(np.trace(of, axis1=1, axis2=2))) for of in (turns.covariance, turns.velocity_covariance))
-    sizes = [float(np.median(np.minimum(a, b))) + of for a, b, of in zip(every, none, noise, strict=True)]
+    with_all, with_none = misclosure(~replaced), misclosure(replaced)
+    noise = (float(np.median(np.trace(C, axis1=1, axis2=2))) for C in (turns.covariance, turns.velocity_covariance))
+    sizes = [float(np.median(np.minimum(a, b))) + size for a, b, size in zip(with_all, with_none, noise, strict=True)]
 
     def weighed(misclosures: tuple[Array, Array]) -> Array:
-        """Q (K,)."""
+        """Return Q (K,)."""
         return np.asarray(misclosures[0] / sizes[0] + misclosures[1] / sizes[1])
 
-    Q, Q_every = weighed(none), weighed(every)
-    at_first = ~(Q_every >= Q + ALIKE)  # also where either is no number
-    replaced, Q = at_first[turn_of], np.where(at_first, Q_every, Q)
+    Q, Q_all = weighed(with_none), weighed(with_all)
+    all_at_first = ~(Q_all >= Q + ALIKE)  # also if either is NaN
+    replaced, Q = all_at_first[turn_of], np.where(all_at_first, Q_all, Q)
     for _ in range(ROUNDS):
         settled = True
         for n in range(int(number.max()) + 1):
@@ -147,11 +139,11 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
 
 
 def _runs_of(suspects: BadSamples) -> IntArray:
-    """The number of the run (m,) that each suspect is of: samples one after the other in one turn."""
+    """Return the number of the run (m,), consecutive samples in one turn, that each suspect belongs to."""
     new = (np.diff(suspects.at) > 1) | (np.diff(suspects.turn) > 0)
     return np.concatenate([[0], np.cumsum(new)])
 
 
 def _chosen(suspects: BadSamples, which: BoolArray) -> BadSamples:
-    """Some of the suspects."""
+    """Return the suspects with `which` True."""
     return BadSamples(at=suspects.at[which], turn=suspects.turn[which], values=suspects.values[which])

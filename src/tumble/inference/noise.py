@@ -1,23 +1,23 @@
-"""Noise of the rows of rests and turns: covariances, scatter along known directions, and in-run biases as a process.
+"""Noise of the residuals of rests and turns, and in-run biases as Gauss–Markov processes.
 
-Rows. The covariance of the rows of a rest or a turn is N of the noise of its samples and, along a few directions Z, the
-variances v of the components of scatter, docs/explanation/mathematics.md (16) to (18):
+Residuals. The covariance of the residuals of a rest or a turn is that of the noise of its samples, N, plus components
+of variance v_a along known directions Z_a, docs/explanation/mathematics.md (16) to (18):
 
     Σ = N + Σ_a v_a Z_a Z_aᵀ
 
-Biases. The bias of a sensor at rest k is b + σ β_k, b its parameter, β a stationary Gauss–Markov chain of unit variance
-(19),
+Biases. The bias of a sensor at rest k is b + σ β_k, with the parameter b and a stationary Gauss–Markov chain β of unit
+variance (19),
 
     β_0 ~ N(0, 1),   β_{k+1} − ρ_k β_k ~ N(0, 1 − ρ_k²),   ρ_k = e^{−Δt/τ}
 
-Δt is the time between the middles of two rests; a recording that begins anew begins the chain anew. A turn has
-σ (β_k + β_{k+1})/2 or, where biases are anew at every rest and that is likelier, σ β_k or σ β_{k+1}. The β_k are
-unknowns of the rests, their steps rows that join neighbouring rests as turns do, so that the elimination from rest to
-rest has them at a cost that is linear in rests. τ short makes a scatter from rest to rest, τ long a random walk, in
-which a drift is, and a warm-up of any shape.
+Δt is the time between the middles of two rests; each file begins a new chain. The bias of a turn is
+σ (β_k + β_{k+1})/2 or, if biases change at every rest and this is likelier, σ β_k or σ β_{k+1}. The β_k are unknowns of
+the rests and their steps are rows that join neighbouring rests, as turns do, so that the cost of the elimination is
+linear in the number of rests. With a short τ the process is a scatter from rest to rest; with a long τ it is a random
+walk, which can follow a drift or a warm-up of any shape.
 
-The parameter b is the mean of the process, what the bias of another day or of the next minute is about; what was
-observed is the mean over the rests of the session, b + σ mean β.
+The parameter b is the mean of the process, which is the expected bias of another day. The bias of the session is the
+mean over its rests, b + σ mean β.
 """
 
 from __future__ import annotations
@@ -44,25 +44,15 @@ SCATTER_WORDS = {
     "link_accel": ("1", "noise of the accelerometers in motion, over that of its quiet parts"),
     "mag": ("", "readings of the magnetometer, in its unit"),
 }
-SCATTER = tuple(SCATTER_WORDS)
-"""The components of scatter, white from rest to rest and from turn to turn."""
-TURN_SCATTER = SCATTER[2:8]
-"""Those that concern turns alone."""
-LINK_SCATTER = SCATTER[8:10]
-"""Those of links."""
-REST_SCATTER = SCATTER[:2]
-"""Those of readings at rest."""
-CORRELATION_TIME = 300.0
-"""s: the usual correlation time of an in-run bias."""
-DISPLACEMENT, DISPLACEMENT_TIME = 0.02, 0.5
-"""m and s: the usual displacement of a device in the hand or on a pivot, and its correlation time."""
-
-OMITTED = 2e-3
-"""A row whose weight has a root below it is left out."""
+SCATTER = tuple(SCATTER_WORDS)  # components of variance, independent between rests and between turns
+REST_SCATTER, TURN_SCATTER, LINK_SCATTER = SCATTER[:2], SCATTER[2:8], SCATTER[8:10]
+CORRELATION_TIME = 300.0  # s: usual correlation time of an in-run bias
+DISPLACEMENT, DISPLACEMENT_TIME = 0.02, 0.5  # m, s: usual displacement in the hand or on a pivot, and correlation time
+OMITTED = 2e-3  # square root of the weight below which a row is left out
 
 
 def typical_noise(covariance: Array) -> float:
-    """Standard deviation of a component of the median row, of covariances (N, n, n); 0 of none."""
+    """Return the median standard deviation of covariances (N, n, n), root mean square over components; 0 if N = 0."""
     if not len(covariance):
         return 0.0
     return float(np.sqrt(np.median(np.trace(covariance, axis1=1, axis2=2)) / covariance.shape[1]))
@@ -72,32 +62,28 @@ def typical_noise(covariance: Array) -> float:
 class VarianceComponents:
     """Standard deviations of the components of variance beside the noise within rests.
 
+    For a stack of P sets of components each number is an array (P,), and `unlike` is (P, n).
+
     Parameters
     ----------
     accel, gyro
-        Scatter of the readings at rest, m/s² and rad/s, from rest to rest.
+        Scatter of the readings from rest to rest, m/s² and rad/s.
     turn, velocity, apart
-        Scatter of rotations, rad, and velocities, m/s, of turns, and of the integrals of gyros beyond the rotation of
-        the body, rad.
+        Scatter of rotations, rad, and velocities, m/s, of turns, and of the integrals of spare gyros, rad.
     jumps
-        The error of the integral over a jump between samples in parts of its size times the interval (18).
+        Error of an integral over a jump between samples, relative to the jump times the sampling interval (18).
     aliased, aliased_apart
-        The error of a rotation, and of what gyros say beyond it, in parts of what aliased samples would make it.
+        Errors of rotations and of the integrals of spare gyros, relative to those of aliased samples.
     mag
-        Scatter of the readings of the magnetometer, in its unit, from station to station.
+        Scatter of the magnetometer from station to station, in its unit.
     accel_in_run, gyro_in_run, accel_time, gyro_time
-        Size, SI, and correlation time, s, of the in-run bias of each kind of sensor.
+        Standard deviation, SI, and correlation time, s, of the in-run bias of each kind of sensor.
     link_gyro, link_accel
-        Noise of the samples in motion beside that of its quietest parts, over that.
+        Additional noise of the samples in motion, relative to the noise of the quietest parts of the motion.
     displacement, displacement_time
-        Size, m, and correlation time, s, of the displacement of a device that is moved from where its pivot has it.
+        Standard deviation, m, and correlation time, s, of the displacement of a moving device from its pivot.
     unlike : (n,)
-        How many times larger the scatter at rest and the in-run bias of a sensor are than those of its kind,
-        accelerometers before gyros; 1 where empty.
-
-    Notes
-    -----
-    Of a stack of components each number is an array (P,), `unlike` (P, n).
+        Factors on the scatter at rest and in-run bias of each sensor, accelerometers first; empty if all are 1.
     """
 
     accel: float = 0.0
@@ -121,18 +107,18 @@ class VarianceComponents:
 
     @property
     def variances(self) -> Array:
-        """The squares of those of SCATTER."""
+        """Variances of the components in SCATTER."""
         return _stacked([getattr(self, name) for name in SCATTER]) ** 2
 
     @property
     def wanders(self) -> bool:
-        """Whether biases are a process in time."""
+        """True if in-run biases are not all zero."""
         return bool(np.any(self.accel_in_run) or np.any(self.gyro_in_run))
 
     def in_run(self, accelerometers: int, gyros: int) -> tuple[Array, Array]:
-        """Standard deviations and correlation times (n,) of the in-run biases of sensors, accelerometers first."""
-        both = (self.accel_in_run, self.gyro_in_run), (self.accel_time, self.gyro_time)
-        sigma, tau = (_stacked(list(kinds)).repeat((accelerometers, gyros), axis=-1) for kinds in both)
+        """Return standard deviations and correlation times (n,) of the in-run biases of all sensors."""
+        by_kind = [self.accel_in_run, self.gyro_in_run], [self.accel_time, self.gyro_time]
+        sigma, tau = (_stacked(numbers).repeat((accelerometers, gyros), axis=-1) for numbers in by_kind)
         return sigma * self.unlike if self.unlike.size else sigma, tau
 
 
@@ -140,34 +126,33 @@ NO_COMPONENTS = VarianceComponents()
 
 
 def _stacked(numbers: list[Any]) -> Array:
-    """Numbers, some of which may be arrays (...), as one array (..., n)."""
-    stack = max((each.shape for each in numbers if isinstance(each, np.ndarray)), key=len, default=())
-    return np.stack([np.broadcast_to(each, stack) for each in numbers], axis=-1) if stack else np.array(numbers)
+    """Return n numbers, some of which may be arrays (…), as an array (…, n)."""
+    shape = max((number.shape for number in numbers if isinstance(number, np.ndarray)), key=len, default=())
+    return np.stack([np.broadcast_to(number, shape) for number in numbers], axis=-1) if shape else np.array(numbers)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseModel:
-    """The noise of the rows at given components of variance.
+    """Noise of the residuals, with components of variance.
 
     Parameters
     ----------
     rest, turn, link : (N, r, r), (K, t, t) and (J, l, l)
-        Covariances N of the rows of rests, turns and links without scatter.
+        Covariances N of the residuals of rests, turns and links, without components of variance.
     rest_directions, turn_directions, link_directions : ((N, r, q), (q,)), …
-        Directions Z of the components of scatter, each with the place in SCATTER of the one it belongs to.
+        Directions Z of the components of variance, and the index of the component of each in SCATTER.
     rest_weights, turn_weights, link_weights : (N, r), (K, t) and (J, l)
-        Square roots of the weights that single rows have beside that: 1 but for those that do not fit.
+        Square roots of weights of single rows, 1 except for outliers.
     interval : (M,)
-        Time, s, from the middle of each station to that of the next one, infinite where the chain of biases begins
-        anew.
+        Time from the middle of each station to that of the next, s; infinite where a new chain of biases begins.
     displaced : (M,)
-        The same of displacements, from node to node; None where no device is moved.
+        The same for displacements, from node to node; None unless the device moves.
     follows : (M,)
-        Whether a station of the same session follows.
+        True if another station of the same session follows.
     sensors : (2,)
         Numbers of accelerometers and of gyros.
     components
-        The components of variance.
+        Components of variance.
     """
 
     rest: Array
@@ -186,116 +171,113 @@ class NoiseModel:
     components: VarianceComponents = NO_COMPONENTS
 
     def at(self, components: VarianceComponents) -> NoiseModel:
-        """The same with other components of variance, and with what does not depend on these, made but once."""
+        """Return the noise with other components of variance, keeping the cached properties that do not depend on
+        them."""
         out = replace(self, components=components)
-        vars(out).update(_seen=self._seen, whole=self.whole)
+        vars(out).update(_unscaled_directions=self._unscaled_directions, whole=self.whole)
         return out
 
     @property
     def weights(self) -> tuple[Array, Array, Array]:
-        """Square roots of the weights of the rows of rests, turns and links."""
+        """Square roots of the weights of rests, turns and links."""
         return self.rest_weights, self.turn_weights, self.link_weights
 
     def weighted(self, rest: Array, turn: Array, link: Array) -> NoiseModel:
-        """The same with other square roots of the weights of single rows."""
+        """Return the noise with other square roots of weights."""
         return replace(self, rest_weights=rest, turn_weights=turn, link_weights=link)
 
     @cached_property
     def variances(self) -> Array:
-        """The variances (c,) of the components of SCATTER."""
+        """Variances (c,) of the components in SCATTER."""
         return self.components.variances
 
     @cached_property
     def whole(self) -> bool:
-        """Whether all rows have their whole weight."""
+        """True if all rows have full weight."""
         return all(bool(np.all(w == 1.0)) for w in self.weights)
 
     @cached_property
-    def _seen(self) -> tuple[tuple[Array, IntArray], ...]:
-        """The directions Z of the scatter of rests, turns and links, and their places in SCATTER. Rows that are left
-        out have no scatter, of which they show nothing."""
-        every = self.rest_directions, self.turn_directions, self.link_directions
+    def _unscaled_directions(self) -> tuple[tuple[Array, IntArray], ...]:
+        """Directions Z of rests, turns and links, zero in rows left out, and their indices in SCATTER."""
+        directions = self.rest_directions, self.turn_directions, self.link_directions
         if self.whole:
-            return every
-        pairs = zip(every, self.weights, strict=True)
+            return directions
+        pairs = zip(directions, self.weights, strict=True)
         return tuple((Z * (w > OMITTED)[:, :, None], place) for (Z, place), w in pairs)
 
     @cached_property
     def directions(self) -> tuple[tuple[Array, IntArray], ...]:
-        """The same, those of sensors unlike others longer."""
-        (Z, place), *others = self._seen
+        """Directions Z of rests, turns and links, multiplied by the factors of single sensors."""
+        (Z, place), *others = self._unscaled_directions
         unlike = self.components.unlike
         if not unlike.size:
-            return self._seen
-        longer = np.ones((*unlike.shape[:-1], Z.shape[-1]))
-        longer[..., : unlike.shape[-1]] = unlike
-        return (Z * longer[..., None, None, :], place), *others
+            return self._unscaled_directions
+        factors = np.ones((*unlike.shape[:-1], Z.shape[-1]))
+        factors[..., : unlike.shape[-1]] = unlike
+        return (Z * factors[..., None, None, :], place), *others
 
     @property
     def weighted_directions(self) -> tuple[tuple[Array, IntArray], ...]:
-        """The same, longer where rows count less: their whitening has the weights in it."""
+        """`directions` divided by the weights, for use with a whitening, which contains the weights."""
         if self.whole:
             return self.directions
-        each = zip(self.directions, self.weights, strict=True)
-        return tuple((Z / w[:, :, None], place) for (Z, place), w in each)
+        pairs = zip(self.directions, self.weights, strict=True)
+        return tuple((Z / w[:, :, None], place) for (Z, place), w in pairs)
 
     @cached_property
     def biases(self) -> int:
-        """How many biases are states of the stations: n, or none where they do not wander."""
+        """Number of in-run biases among the states of a station."""
         return sum(self.sensors) if self.components.wanders else 0
 
     @cached_property
     def states(self) -> int:
-        """How many states a station has: biases, then three displacements of a device that is moved."""
+        """Number of states of a station: in-run biases, then three displacements of a moving device."""
         return self.biases + (0 if self.displaced is None else 3)
 
     @cached_property
     def unknowns(self) -> int:
-        """d, the unknowns of a station: three angles, three velocities of a device that is moved, and the states."""
+        """Number d of unknowns of a station: three angles, three velocities of a moving device, and the states."""
         return 3 + self.states + (0 if self.displaced is None else 3)
 
     def whitening(self) -> tuple[Array, Array, Array]:
-        """Inverses of the Cholesky factors of the covariances of the rows of rests (N, r, r), turns (K, t, t) and links
-        (J, 9, 9)."""
-        variances = self.variances
-        every = zip((self.rest, self.turn, self.link), self.directions, self.weights, strict=True)
-        rest, turn, link = (whitening(N, *directions, variances, w) for N, directions, w in every)
+        """Return inverse Cholesky factors of the covariances of rests (N, r, r), turns (K, t, t), links (J, l, l)."""
+        kinds = zip((self.rest, self.turn, self.link), self.directions, self.weights, strict=True)
+        rest, turn, link = (whitening(N, *directions, self.variances, w) for N, directions, w in kinds)
         return rest, turn, link
 
-    def _of_states(self, of_biases: Array, of_displacements: Array | float) -> Array:
-        """Values of all states, of those of the biases and of the displacements."""
-        own = of_biases if self.biases else of_biases[..., :0]
+    def _with_displacements(self, biases: Array, displacements: Array | float) -> Array:
+        """Return values of all states from those of n biases and of the displacements."""
+        biases_only = biases if self.biases else biases[..., :0]
         if self.displaced is None:
-            return own
-        displaced = np.broadcast_to(np.asarray(of_displacements)[..., None], (*of_biases.shape[:-1], 3))
-        return np.concatenate([own, displaced], axis=-1)
+            return biases_only
+        displaced = np.broadcast_to(np.asarray(displacements)[..., None], (*biases.shape[:-1], 3))
+        return np.concatenate([biases_only, displaced], axis=-1)
 
     @cached_property
     def _in_run(self) -> tuple[Array, Array]:
-        """Standard deviations and correlation times (n,) of the in-run biases."""
         return self.components.in_run(*self.sensors)
 
     @cached_property
     def state_sigma(self) -> Array:
-        """σ (s,) of every state, SI."""
-        return self._of_states(self._in_run[0], self.components.displacement)
+        """Standard deviation σ (s,) of every state, SI."""
+        return self._with_displacements(self._in_run[0], self.components.displacement)
 
     @cached_property
     def state_lapse(self) -> Array:
-        """Δt/τ (M, s) of every state from every station to the next one."""
-        tau = self._in_run[1]
-        of_biases = np.asarray(self.interval[:, None] / tau[..., None, :])
+        """Δt/τ (M, s) of every state from each station to the next."""
+        biases = np.asarray(self.interval[:, None] / self._in_run[1][..., None, :])
         if self.displaced is None:
-            return self._of_states(of_biases, 0.0)
-        time = np.asarray(self.components.displacement_time)[..., None]
-        return self._of_states(of_biases, self.displaced / time)
+            return self._with_displacements(biases, 0.0)
+        return self._with_displacements(
+            biases, self.displaced / np.asarray(self.components.displacement_time)[..., None]
+        )
 
     @cached_property
     def state_rho(self) -> Array:
-        """ρ (M, s), the correlation of every state with that at the next station."""
+        """Correlation ρ (M, s) of every state with that at the next station."""
         return np.exp(-self.state_lapse)
 
     @cached_property
     def state_step(self) -> Array:
-        """√(1 − ρ²) (M, s), the standard deviation of a step of the states."""
+        """Standard deviation √(1 − ρ²) (M, s) of the step of every state."""
         return np.sqrt(-np.expm1(-2.0 * self.state_lapse))

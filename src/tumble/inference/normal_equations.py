@@ -1,19 +1,17 @@
-"""Least squares of a linearised likelihood in square-root form, its restricted likelihood, and what it leaves of
-residuals: docs/explanation/mathematics.md, sections 7 and 8.
+"""Square-root least squares of a linearised likelihood, and its restricted likelihood.
 
-    whiten              rows times Σ^{−½}; the steps of the in-run biases are rows of covariance 1
-    eliminate_rests     angles and states of biases of every rest eliminated: of each session a triangle is left
-    add_priors          priors folded into these triangles; gravity and the parameters solved for
-    back_substitute     the unknowns of the rests, given all others
-
-With V the covariance of all rows, P₀ the precision of the priors and R every triangle of the elimination,
+Sections 7 and 8 of docs/explanation/mathematics.md. Whitened rows, Σ^{−½} times the Jacobians and residuals, are
+reduced by orthogonal transformations. The unknowns of the rests are eliminated first, which leaves one triangle for
+each session (`eliminate_rests`); the priors are folded into these triangles and gravity and the parameters are solved
+for (`add_priors`); the unknowns of the rests follow by back-substitution (`Solution.unknowns`). With V the covariance
+of all rows, P₀ the precision of the priors and R all triangles of the elimination,
 
     −2 ln L = rᵀV⁻¹r + x̂ᵀP₀x̂ + ln |V| − ln |P₀| + 2 Σ ln |diag R|                      (restricted likelihood, 23)
 
-every determinant a sum of logarithms of diagonals that are there.
+where each determinant is a sum of logarithms of a diagonal that the elimination computes.
 
-Components of variance and sizes of priors may be a stack of several, for which all is done at once: then every array
-that depends on them has further axes before those that are stated.
+Components of variance and prior sizes may be stacks, which are solved together; all arrays that depend on them then
+have the axes of the stack before those stated below.
 """
 
 from __future__ import annotations
@@ -26,7 +24,7 @@ from itertools import product
 import numpy as np
 import scipy
 
-from tumble.inference.elimination import along_chains, eliminate, fold, given_parameters, put_back
+from tumble.inference.elimination import conditional_covariances, eliminate, fold, invert_factors, recur_backwards
 from tumble.inference.elimination_kernels import residuals
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import NoiseModel, VarianceComponents
@@ -41,16 +39,16 @@ class NormalEquations:
     Parameters
     ----------
     noise
-        The noise by which rows are whitened.
-    rest_whitening, turn_whitening, link_whitening : (N, r, r), (K, t, t) and (J, 9, 9)
-        Σ^{−½} of the rows of rests, turns and links.
-    rest_rows, turn_rows, link_rows : (N, r, d + w), (K, t, 2 d + w) and (J, 9, 2 d + w)
-        Whitened rows: the d unknowns of a rest, or of both stations of a turn or a link, then the w − 1 that are left,
-        what the session has beside, gravity and the parameters, and the right-hand side.
+        Noise that whitens the rows.
+    rest_whitening, turn_whitening, link_whitening : (N, r, r), (K, t, t) and (J, l, l)
+        Σ^{−½} of rests, turns and links.
+    rest_rows, turn_rows, link_rows : (N, r, d + w), (K, t, 2 d + w) and (J, l, 2 d + w)
+        Whitened rows. Columns: the d unknowns of a rest, or of both stations of a turn or a link; the w − 1 shared
+        unknowns, namely the parameters of the session, gravity and the common parameters; the right-hand side.
     rest_factors : (M, d, 2 d + w)
-        Triangular factors by which the unknowns of each station are back-substituted.
+        Triangular factors for the back-substitution of the unknowns of each station.
     session_factors : (S, w, w)
-        Of each session a triangle of what is left when its rests are eliminated.
+        Triangle of each session for the shared unknowns, after elimination of its rests.
     """
 
     noise: NoiseModel
@@ -65,51 +63,53 @@ class NormalEquations:
 
     @property
     def unknowns(self) -> int:
-        """d, the unknowns of a station (`tumble.inference.noise.NoiseModel.unknowns`)."""
+        """Number d of unknowns of a station."""
         return int(self.rest_factors.shape[-2])
 
     @property
     def wanders(self) -> bool:
-        """Whether states of biases are among the unknowns of the rests."""
+        """True if in-run biases are among the unknowns of the rests."""
         return self.noise.components.wanders
 
     @cached_property
     def inverses(self) -> tuple[Array, Array]:
-        """R⁻¹ and A of the rests (`tumble.inference.elimination.put_back`)."""
-        return put_back(self.rest_factors)
+        """R⁻¹ and A of `tumble.inference.elimination.invert_factors` (M, d, d)."""
+        return invert_factors(self.rest_factors)
 
     @cached_property
-    def follow(self) -> Array:
-        """How the unknowns of the rests follow from what is left, along the chain: [∂δ/∂x | −δ at x = 0] (M, d, w)."""
+    def sensitivity(self) -> Array:
+        """Unknowns δ of the stations as functions of the shared unknowns x: [∂δ/∂x | −δ at x = 0] (M, d, w)."""
         inverse, by_next = self.inverses
         out = -(inverse @ self.rest_factors[..., 2 * self.unknowns :])
-        along_chains(by_next, out)
+        recur_backwards(by_next, out)
         return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
-    """The least-squares solution of a linearised likelihood with priors.
+    """Least-squares solution of a linearised likelihood with priors.
 
     Parameters
     ----------
     linearisation
-        The rows, with the problem whose priors are in the solution.
+        Linearisation, whose problem has the priors of the solution.
     equations
-        The normal equations it solves.
+        Its normal equations.
     parameters : (1 + m,)
-        The step of gravity and the parameters.
+        Step of gravity and the common parameters.
     local : (S, q)
-        The step of what each session has beside.
+        Steps of the parameters of each session.
     roots : (S, q + 1 + m, q + 1 + m)
-        Of each session a triangle U of the covariance U Uᵀ of what it has beside, gravity and the parameters.
+        For each session a triangle U of the covariance U Uᵀ of its parameters, gravity and the common parameters.
     square
-        The sum of squares that is left, priors included.
+        Sum of squared residuals, priors included.
     deviance
-        −2 ln of the restricted likelihood, less its constant.
-    phi, of_prior
-        The hyperparameters (D,) it is at, and of each the logarithm of its prior density less a constant, its
-        derivative, and the curvature of its negative (3, D); empty where components of variance were given.
+        −2 ln of the restricted likelihood, up to a constant.
+    phi : (D,)
+        Hyperparameters of the solution; empty if components of variance were given instead.
+    prior_terms : (3, D)
+        Logarithm of the prior density of each hyperparameter, up to a constant, its derivative, and minus its second
+        derivative.
     """
 
     linearisation: Linearisation
@@ -120,26 +120,26 @@ class Solution:
     square: Array
     deviance: Array
     phi: Array = field(default_factory=lambda: np.zeros(0))
-    of_prior: Array = field(default_factory=lambda: np.zeros((3, 0)))
+    prior_terms: Array = field(default_factory=lambda: np.zeros((3, 0)))
 
     @property
     def problem(self) -> Problem:
-        """The problem, with its priors."""
+        """Problem with the priors of the solution."""
         return self.linearisation.problem
 
     @property
     def components(self) -> VarianceComponents:
-        """The components of variance."""
+        """Components of variance."""
         return self.equations.noise.components
 
     @property
     def log_posterior(self) -> Array:
         """ℓ(φ) (23)."""
-        return np.asarray(self.of_prior[0].sum(axis=-1) - 0.5 * self.deviance)
+        return np.asarray(self.prior_terms[0].sum(axis=-1) - 0.5 * self.deviance)
 
     @cached_property
     def shared(self) -> Array:
-        """Of each session what it has beside, gravity and the parameters, and −1 (S, q + 1 + m + 1)."""
+        """Shared unknowns of each session, and −1: the factor of the right-hand side (S, q + 1 + m + 1)."""
         q = self.local.shape[-1]
         out = np.full((*self.local.shape[:-1], q + self.parameters.shape[-1] + 1), -1.0)
         out[..., :q], out[..., q:-1] = self.local, self.parameters[..., None, :]
@@ -147,111 +147,133 @@ class Solution:
 
     @cached_property
     def session_covariances(self) -> Array:
-        """Of each session the covariance (S, q + 1 + m, q + 1 + m) of what it has beside, gravity and the
-        parameters."""
+        """Covariance of the shared unknowns of each session (S, q + 1 + m, q + 1 + m)."""
         return np.asarray(self.roots @ np.swapaxes(self.roots, -1, -2))
 
     @property
     def covariance(self) -> Array:
-        """The covariance (1 + m, 1 + m) of gravity and the parameters."""
+        """Covariance of gravity and the common parameters (1 + m, 1 + m)."""
         q = self.local.shape[-1]
         return np.asarray(self.session_covariances[..., 0, q:, q:])
 
     @cached_property
+    def mean_bias(self) -> tuple[Array, Array] | None:
+        """Derivatives of the mean in-run biases of the session (`session_mean_bias`); None without or of several."""
+        return session_mean_bias(self.equations) if self.equations.wanders and len(self.problem.parts) == 1 else None
+
+    @cached_property
+    def _session_root(self) -> Array:
+        """Root of the covariance of gravity and the common parameters by shared unknowns, with biases of the
+        session."""
+        roots = self.roots[..., 0, :, :]
+        root = roots[..., len(self.problem.usual_local_u) :, :].copy()
+        if self.mean_bias is not None:
+            root[..., 1 + self.problem.biases, :] += self.mean_bias[0][..., :-1] @ roots
+        return root
+
+    @property
+    def session_step(self) -> Array:
+        """Step of gravity and the common parameters (1 + m,), biases being the means over the session."""
+        step = self.parameters.copy()
+        if self.mean_bias is not None:
+            by_shared, _ = self.mean_bias
+            step[..., 1 + self.problem.biases] += (by_shared @ self.shared[..., 0, :, None])[..., 0]
+        return step
+
+    @property
+    def session_covariance(self) -> Array:
+        """Covariance of gravity and the common parameters (1 + m, 1 + m), biases being the means over the session."""
+        root, biases = self._session_root, 1 + self.problem.biases
+        covariance = root @ np.swapaxes(root, -1, -2)
+        if self.mean_bias is not None:
+            _, by_noise = self.mean_bias
+            along = np.swapaxes(by_noise, -3, -2).reshape(*covariance.shape[:-2], len(biases), -1)
+            covariance[..., biases[:, None], biases] += along @ np.swapaxes(along, -1, -2)
+        return np.asarray(covariance)
+
+    def session_covariance_with(self, local: slice) -> Array:
+        """Return the covariance (k, 1 + m) of some session parameters with the unknowns of `session_covariance`."""
+        return np.asarray(self.roots[0, local] @ self._session_root.T)
+
+    @cached_property
     def unknowns(self) -> Array:
-        """The unknowns (M, d) of the stations, by back substitution: angles, velocities where they move, states."""
-        follow, parts = self.equations.follow, enumerate(self.problem.parts)
-        every = (follow[..., part.stations, :, :] @ self.shared[..., s, None, :, None] for s, part in parts)
-        return np.concatenate([each[..., 0] for each in every], axis=-2)
+        """Step of the unknowns (M, d) of the stations by back-substitution: angles, velocities if any, states."""
+        sensitivity, parts = self.equations.sensitivity, enumerate(self.problem.parts)
+        steps = (sensitivity[..., part.stations, :, :] @ self.shared[..., s, None, :, None] for s, part in parts)
+        return np.concatenate([step[..., 0] for step in steps], axis=-2)
 
     @property
     def angles(self) -> Array:
-        """The step of the angles (M, 3) of the attitudes."""
+        """Step of the angles (M, 3) of the attitudes."""
         return self.unknowns[..., :3]
 
     @property
     def states(self) -> Array:
-        """The states (M, s): of in-run biases, and of displacements, in units of their sizes."""
+        """States (M, s): in-run biases, then displacements, divided by their standard deviations."""
         return self.unknowns[..., self.equations.unknowns - self.equations.noise.states :]
 
     @cached_property
     def conditional_covariances(self) -> Array:
-        """Covariances of the unknowns of the rests given all others, with themselves and with those of the next rest
-        (2, N, d, d)."""
-        return given_parameters(*self.equations.inverses)
-
-    def along(self, unknowns: slice) -> Array:
-        """How unknowns of the rests (N, k, p) go with what the others are uncertain by, a root of their covariance."""
-        follow = self.equations.follow[..., unknowns, :-1]
-        parts = enumerate(self.problem.parts)
-        return np.concatenate(
-            [times(follow[..., part.stations, :, :], self.roots[..., s, :, :]) for s, part in parts], axis=-3
-        )
-
-    def covariances(self, unknowns: slice) -> Array:
-        """Covariances of unknowns of the rests with themselves and those of the next (2, N, k, k)."""
-        root, out = self.along(unknowns), self.conditional_covariances[:, :, unknowns, unknowns].copy()
-        out[0] += root @ np.swapaxes(root, 1, 2)
-        out[1, :-1] += root[:-1] @ np.swapaxes(root[1:], 1, 2)
-        return out
+        """Covariances of the unknowns of each rest, and with those of the next, given the shared (2, N, d, d)."""
+        return conditional_covariances(*self.equations.inverses)
 
     @property
     def by_kind(self) -> Iterator[tuple[Array, tuple[Array, Array], tuple[Array, IntArray]]]:
-        """Of rests, turns and links Σ^{−½}, residuals with covariances, and directions of scatter with their places in
-        SCATTER."""
+        """For rests, turns and links: Σ^{−½}, residuals with covariances, and directions with indices in SCATTER."""
         equations = self.equations
         whitening = equations.rest_whitening, equations.turn_whitening, equations.link_whitening
         residuals = self.rest_residuals, self.turn_residuals, self.link_residuals
         return zip(whitening, residuals, equations.noise.weighted_directions, strict=True)
 
-    @cached_property
+    @property
     def rest_residuals(self) -> tuple[Array, Array]:
-        """Whitened residuals (N, r) of the rests, and their covariances (N, r, r), 1 where the fit has no part in
-        them."""
+        """Whitened residuals (N, r) of the rests, and their covariances (N, r, r), below 1 by what the fit absorbs."""
         return self._residuals[0]
 
-    @cached_property
+    @property
     def turn_residuals(self) -> tuple[Array, Array]:
-        """The same (K, t) and (K, t, t) of the turns."""
+        """Whitened residuals (K, t) of the turns and their covariances (K, t, t)."""
         return self._residuals[1]
 
-    @cached_property
+    @property
     def link_residuals(self) -> tuple[Array, Array]:
-        """The same (J, 9) and (J, 9, 9) of the links."""
+        """Whitened residuals (J, l) of the links and their covariances (J, l, l)."""
         return self._residuals[2]
 
     @cached_property
     def _residuals(self) -> list[tuple[Array, Array]]:
-        """Of rests, turns and links. With A the columns of the unknowns of a rest, or of two, of covariance S for given
-        others, and E what the others, of covariance U Uᵀ, do to a row directly and by these, the covariance is
+        """Residuals and covariances of rests, turns and links.
+
+        A are the coefficients of a row for the unknowns of its stations, of covariance S given the shared unknowns, and
+        E those for the shared unknowns, directly and through the stations. The covariance of the residual is
 
             1 − A S Aᵀ − (E U)(E U)ᵀ"""
         problem, equations, out = self.problem, self.equations, list[tuple[Array, Array]]()
-        (own, with_next), follow = self.conditional_covariances, equations.follow
+        (here, with_next), sensitivity = self.conditional_covariances, equations.sensitivity
         kinds = (
             (equations.rest_rows, problem.station, [part.rests for part in problem.parts]),
             (equations.turn_rows, problem.before_turn, [part.turns for part in problem.parts]),
             (equations.link_rows, problem.before_link, [slice(None)] * problem.moves),
         )
         for rows, before, parts in kinds:
-            (K, t, columns), width = rows.shape, follow.shape[-1]
+            (K, t, columns), width = rows.shape, sensitivity.shape[-1]
             residual, covariance, work = np.zeros((K, t)), np.zeros((K, t, t)), np.empty((t, columns + width))
             for part, root, shared in zip(parts, self.roots, self.shared, strict=False):
-                here = rows[part], before[part], follow, own, with_next
-                residuals(*here, root, shared, residual[part], covariance[part], work)
+                of_part = rows[part], before[part], sensitivity, here, with_next
+                residuals(*of_part, root, shared, residual[part], covariance[part], work)
             out.append((residual, covariance))
         return out
 
 
 def solve(linearisation: Linearisation, components: VarianceComponents | None = None) -> Solution:
-    """The least-squares solution of a linearised likelihood, at its components of variance or at others."""
+    """Return the least-squares solution of a linearisation, at its components of variance or at others."""
     if components is not None:
         linearisation = linearisation.with_components(components)
     return add_priors(linearisation, eliminate_rests(linearisation))
 
 
 def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
-    """The normal equations of every session, the unknowns of its rests eliminated (22)."""
+    """Return the normal equations of every session after elimination of its rests (22)."""
     problem, noise = linearisation.problem, linearisation.noise
     whitening = noise.whitening()
     rest, turn, link = whiten(linearisation, *whitening)
@@ -261,15 +283,12 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
     triangles = np.swapaxes(np.zeros((*stack, len(problem.parts), size, size)), -1, -2)
     at_stations = station_rows(problem, rest)
     joints = joint_rows(linearisation, turn, link) if states else turn
-    begins = np.zeros((d, d + width))  # a chain of states begins as its process is
-    begins[d - states :, d - states : d] = np.eye(states)
+    initial = np.zeros((d, d + width))  # states of the first station have unit variance
+    initial[d - states :, d - states : d] = np.eye(states)
     for at in product(*map(range, stack)):
         for part, triangle in zip(problem.parts, triangles[at], strict=True):
-            between, links = (
-                joints[at][part.stations if states else part.turns],
-                session_links(part, chained=states > 0),
-            )
-            eliminate(at_stations[at][part.stations], between, links, factors[at][part.stations], triangle, begins)
+            between, links = joints[at][part.stations if states else part.turns], session_links(part, states > 0)
+            eliminate(at_stations[at][part.stations], between, links, factors[at][part.stations], triangle, initial)
     return NormalEquations(
         noise=noise,
         rest_whitening=whitening[0],
@@ -286,12 +305,11 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
 def whiten(
     linearisation: Linearisation, rest_whitening: Array, turn_whitening: Array, link_whitening: Array
 ) -> tuple[Array, Array, Array]:
-    """The whitened rows of rests, turns and links as the elimination has them: after the unknowns of the stations what
-    a session has beside, then gravity and the common parameters."""
+    """Return the whitened rows of rests, turns and links (`NormalEquations`)."""
     problem, noise, s = linearisation.problem, linearisation.noise, linearisation.noise.states
     n, d = sum(noise.sensors), noise.unknowns - noise.states
     rows = linearisation.ordered
-    if noise.biases == 0:  # without their columns
+    if noise.biases == 0:  # delete their columns
         one, both = np.arange(d, d + n), np.r_[d : d + n, 2 * d + n + s : 2 * (d + n) + s]
         rows = np.delete(rows[0], one, axis=2), np.delete(rows[1], both, axis=2), np.delete(rows[2], both, axis=2)
     rest, turn, link = (W @ x for W, x in zip((rest_whitening, turn_whitening, link_whitening), rows, strict=True))
@@ -305,7 +323,7 @@ def whiten(
 
 
 def station_rows(problem: Problem, rest: Array) -> Array:
-    """The rows of the rests (N, r, ·) at their stations (M, r, ·), zero at nodes; none (M, 0, ·) without rests."""
+    """Return the rows of the rests (N, r, ·) at their stations (M, r, ·), zero at nodes; (M, 0, ·) without rests."""
     if not problem.moves:
         return rest
     rest = rest if len(problem.station) else rest[..., :0, :]
@@ -315,8 +333,10 @@ def station_rows(problem: Problem, rest: Array) -> Array:
 
 
 def joint_rows(linearisation: Linearisation, turn: Array, link: Array) -> Array:
-    """The rows (M, t + 9 + s, 2 d + w) that join each station to the next: those of its `turn` (K, t, 2 d + w) or of
-    its `link` (J, 9, 2 d + w), zero where it has none, and the steps of the s states (19)."""
+    """Return the rows (M, t + l + s, 2 d + w) that join each station to the next.
+
+    These are the rows of its `turn` (K, t, 2 d + w) or of its `link` (J, l, 2 d + w), zero where there is none, and the
+    steps of the s states (19)."""
     problem, noise = linearisation.problem, linearisation.noise
     s, d = noise.states, noise.unknowns
     turn = turn if len(problem.before_turn) else turn[..., :0, :]
@@ -334,14 +354,18 @@ def joint_rows(linearisation: Linearisation, turn: Array, link: Array) -> Array:
     return joints
 
 
-def session_links(part: SessionSpan, *, chained: bool) -> IntArray:
-    """What joins each station of a session to the next, −1 where nothing does: its turn, or what is `chained`."""
+def session_links(part: SessionSpan, chained: bool) -> IntArray:
+    """Return the row block between each station of a session and the next, −1 for none.
+
+    Every two stations have one if they are `chained` by states; otherwise only those with a turn."""
     return np.append(np.arange(len(part.link) - 1), -1) if chained else part.link
 
 
 def add_priors(linearisation: Linearisation, equations: NormalEquations, **at_phi: Array) -> Solution:
-    """The solution of normal equations with the priors of a linearisation, those of single sessions folded in first,
-    what these have beside eliminated, and then the common ones; `at_phi` are the fields of hyperparameters."""
+    """Return the solution of normal equations with the priors of a linearisation.
+
+    Priors of each session are folded in first and its parameters eliminated; then the common priors. `at_phi` are the
+    fields `phi` and `prior_terms` of the solution."""
     problem = linearisation.problem
     q, S, p = len(problem.usual_local_u), len(problem.parts), linearisation.prior.shape[-1] - 1
     stack = max(linearisation.prior.shape[:-2], equations.session_factors.shape[:-3], key=len)
@@ -350,13 +374,13 @@ def add_priors(linearisation: Linearisation, equations: NormalEquations, **at_ph
         return np.broadcast_to(x, (*stack, *x.shape[x.ndim - axes :])) if stack else x
 
     factors, prior = stacked(equations.session_factors, 3), stacked(linearisation.prior, 2)
-    local_u, residuals = stacked(problem.local_u, 1), stacked(linearisation.local_prior, 2)
+    local_u, local_prior = stacked(problem.local_u, 1), stacked(linearisation.local_prior, 2)
     further_u = stacked(problem.prior_u[..., 1 + problem.instrument.linear_count :], 1)
     parameters, local, roots = np.zeros((*stack, p)), np.zeros((*stack, S, q)), np.zeros((*stack, S, q + p, q + p))
     diagonals, square = np.empty((*stack, 2 * S * q + p + further_u.shape[-1])), np.empty(stack)
     for at in product(*map(range, stack)):
-        triangle, heads = fold_sessions(prior[at], factors[at], local_u[at], residuals[at])
-        exact = int(triangle[0, 0] == 0.0)  # gravity, of which the step is zero then
+        triangle, heads = fold_sessions(prior[at], factors[at], local_u[at], local_prior[at])
+        exact = int(triangle[0, 0] == 0.0)  # if gravity is exact its step is zero
         root = np.zeros((p, p))
         root[exact:, exact:] = inverse_of(triangle[exact:p, exact:p])
         parameters[at][exact:] = root[exact:, exact:] @ triangle[exact:p, p]
@@ -378,11 +402,13 @@ def add_priors(linearisation: Linearisation, equations: NormalEquations, **at_ph
     )
 
 
-def fold_sessions(prior: Array, factors: Array, local_u: Array, residuals: Array) -> tuple[Array, list[Array]]:
-    """The triangle (p + 1, p + 1) of the common parameters with their prior, and of each session the rows
-    (q, q + p + 1) that give what it has beside."""
+def fold_sessions(prior: Array, factors: Array, local_u: Array, local_prior: Array) -> tuple[Array, list[Array]]:
+    """Fold the triangles of all sessions into the prior of the common parameters.
+
+    Returns the triangle (p + 1, p + 1) of the common parameters and, for each session, its `head` (q, q + p + 1): the
+    rows that determine its own parameters once the common ones are known."""
     triangle, heads, q = prior, list[Array](), len(local_u)
-    for factor, residual in zip(factors, residuals, strict=True):
+    for factor, residual in zip(factors, local_prior, strict=True):
         wide = with_local_prior(local_u, factor, residual)
         heads.append(wide[:q])
         fold(triangle, wide[q:, q:], triangular=True)
@@ -391,8 +417,7 @@ def fold_sessions(prior: Array, factors: Array, local_u: Array, residuals: Array
 
 
 def with_local_prior(local_u: Array, factor: Array, residual: Array) -> Array:
-    """The triangle of a session with the prior of what it has beside, of standard deviations `local_u` and whitened
-    residual (q,)."""
+    """Return the triangle of a session with the priors of its parameters, of whitened `residual` (q,)."""
     wide, q = factor.copy(order="F"), len(residual)
     if q:
         prior = np.zeros((q, len(wide)))
@@ -402,8 +427,7 @@ def with_local_prior(local_u: Array, factor: Array, residual: Array) -> Array:
 
 
 def _local_solution(head: Array, parameters: Array, root: Array) -> tuple[Array, Array]:
-    """What a session has beside (q,), from the rows (q, q + p + 1) that give it once the parameters are known, and a
-    root (q + p, q + p) of its covariance with them."""
+    """Return the parameters (q,) of a session, and a root (q + p, q + p) of their covariance with the common ones."""
     q = len(head)
     if q == 0:
         return np.zeros(0), root
@@ -414,21 +438,21 @@ def _local_solution(head: Array, parameters: Array, root: Array) -> tuple[Array,
 
 
 def rests_deviance(equations: NormalEquations) -> Array:
-    """ln |V| + 2 Σ ln |diag R| of the rows and of the unknowns of the rests."""
-    noise, every = equations.noise, (equations.rest_whitening, equations.turn_whitening, equations.link_whitening)
-    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1)) for W in every)
+    """Return ln |V| + 2 Σ ln |diag R| over the rows and the unknowns of the rests."""
+    noise, kinds = equations.noise, (equations.rest_whitening, equations.turn_whitening, equations.link_whitening)
+    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1)) for W in kinds)
     steps = np.log(noise.state_step[..., noise.follows, :]).sum(axis=(-2, -1)) if noise.states else 0.0
     return np.asarray(2.0 * (_logarithms(equations.rest_factors.diagonal(0, -2, -1)).sum(axis=-1) + steps - whitened))
 
 
 def _logarithms(values: Array) -> Array:
-    """The sum of the logarithms (…) of values (…, n) that are not zero."""
+    """Return the sum (…) of the logarithms of the values (…, n) that are not zero."""
     size = np.abs(values)
     return np.asarray(np.log(np.where(size > 0.0, size, 1.0)).sum(axis=-1))
 
 
 def inverse_of(triangle: Array) -> Array:
-    """The inverse of an upper triangle. Raises LinAlgError where it has none."""
+    """Return the inverse of an upper triangle; LinAlgError if it is singular."""
     inverse, singular = scipy.linalg.lapack.dtrtri(triangle)
     if singular:
         raise np.linalg.LinAlgError("Singular matrix")
@@ -436,22 +460,20 @@ def inverse_of(triangle: Array) -> Array:
 
 
 def times(rows: Array, matrix: Array) -> Array:
-    """Rows (…, K, t, p) times a matrix (…, p, y), in one product."""
+    """Return rows (…, K, t, p) times a matrix (…, p, y), in one product."""
     flat = rows.reshape(*rows.shape[:-3], -1, rows.shape[-1])
     return np.asarray(flat @ matrix).reshape(*rows.shape[:-1], matrix.shape[-1])
 
 
 def session_mean_bias(equations: NormalEquations) -> tuple[Array, Array]:
-    """The mean over the rests of a session of its in-run biases (20).
+    """Return derivatives of the mean in-run biases over the rests of a session (20).
 
     Returns
     -------
     by_shared : (n, q + 1 + m + 1)
-        What it changes with what the session has beside, gravity and the common parameters, and its value where these
-        are zero, with the sign turned round.
+        Derivatives by the shared unknowns, and minus the value where these are zero.
     by_noise : (N, n, d)
-        What it changes with the noise e of every rest, followed along the chain of unknowns
-        u_i = A_i u_{i+1} + B_i x + a_i + R_i⁻¹ e_i from the first.
+        Derivatives by the noise e of every rest, along the chain δ_i = A_i δ_{i+1} + B_i x + a_i + R_i⁻¹ e_i.
     """
     inverse, by_next = equations.inverses
     n = equations.noise.biases
@@ -460,30 +482,17 @@ def session_mean_bias(equations: NormalEquations) -> tuple[Array, Array]:
     carried, back = np.zeros((*stack, N, d, n)), np.zeros((*stack, N, d, d))  # transposed, from the last station on
     carried[..., biases, :] = sigma[..., None, None, :] * np.eye(n) / N
     back[..., :-1, :, :] = np.swapaxes(by_next[..., -2::-1, :, :], -1, -2)
-    along_chains(back, carried)
+    recur_backwards(back, carried)
     by_noise = np.swapaxes(carried[..., ::-1, :, :], -1, -2) @ inverse
     along, rows = np.swapaxes(by_noise, -3, -2).reshape(*stack, n, -1), equations.rest_factors[..., 2 * d :]
     return -(along @ rows.reshape(*stack, N * d, -1)), by_noise
 
 
 def mean_by_common(by_shared: Array, head: Array) -> tuple[Array, Array]:
-    """The mean over a session of its biases, what the session has beside following from the common parameters.
+    """Eliminate the parameters of the session from the derivatives `by_shared` of its mean biases, by its `head`.
 
-    Parameters
-    ----------
-    by_shared : (n, q + 1 + m + 1)
-        What it changes with, as of `session_mean_bias`.
-    head : (q, q + 1 + m + 1)
-        The rows that give what the session has beside (`fold_sessions`).
-
-    Returns
-    -------
-    by_common : (n, 1 + m + 1)
-        What it changes with gravity and the common parameters, and its value where these are zero, with the sign turned
-        round.
-    by_local : (n, q)
-        What it changes with the noise of what the session has beside.
-    """
+    Returns the derivatives by gravity and the common parameters with minus the value where these are zero
+    (n, 1 + m + 1), and those by the noise of the parameters of the session (n, q)."""
     q = len(head)
     if q == 0:
         return by_shared, by_shared[:, :0]

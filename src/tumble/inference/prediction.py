@@ -1,12 +1,12 @@
-"""How well corrected readings are known: the uncertainty of specific force and rate that an estimate gives.
+"""Uncertainty of corrected specific force and rate.
 
-Single parameters may be open while what they predict together is not: bias, K₂ and asymmetry of an accelerometer that
-stood on faces alone. What a user has of a calibration is the corrected specific force in any attitude,
+Single parameters may be undetermined while their combined effect is not, such as bias, K₂ and asymmetry of an
+accelerometer that stood only on faces. The uncertainty of the corrected specific force, averaged over attitudes, is
 
     u_f² = ⅓ Σ_p mean over directions u of J_p(u) Σ J_p(u)ᵀ                                                     (27)
 
-docs/explanation/mathematics.md (27), with J_p the derivative of the reading of accelerometer p at g u; and likewise the
-corrected rate, at the rates of the session's turns about any axis, in any attitude.
+docs/explanation/mathematics.md (27), with J_p the derivative of the reading of accelerometer p at g u. That of the
+corrected rate is defined in the same way, at the rate of the turns of the session.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ class Prediction:
 def prediction(
     instrument: Instrument, values: Array, covariance: Array, *, gravity: float, rate: float | None
 ) -> Prediction:
-    """What corrected readings are known to by an estimate (m,), (m, m), at specific force `gravity` and a `rate`."""
+    """Return the uncertainty of corrected readings at specific force `gravity` and a `rate`, rad/s, of an estimate
+    (m,), (m, m)."""
     force = _rms(instrument, instrument.accel, values, covariance, (gravity, 0.0))
     if instrument.gyro is None or rate is None:
         return Prediction(force_u=force, rate_u=None, at_rate=None)
@@ -46,8 +47,7 @@ def prediction(
 
 
 def _rms(instrument: Instrument, block: Block, values: Array, covariance: Array, at: tuple[float, float]) -> float:
-    """The mean of J Σ Jᵀ, at a specific force and a rate, is the trace of Σ and the mean of JᵀJ, of which only the
-    functions differ by direction."""
+    """Return the root mean square of J Σ Jᵀ over directions, as the trace of Σ times the mean of JᵀJ."""
     (force, rate), size = at, np.ones(FUNCTIONS)
     measured = force if block.kind == "accel" else rate
     size[RATE], size[FORCE], size[PRODUCTS] = rate, force, force**2
@@ -59,14 +59,14 @@ def _rms(instrument: Instrument, block: Block, values: Array, covariance: Array,
 
 @lru_cache(maxsize=16)
 def _mean_square(kind: SensorKind, axes: bytes) -> Array:
-    """The mean of β βᵀ (n, 15, 15) over the directions of a specific force of 1 and a rate of 1 across it."""
+    """Return the mean of β βᵀ (n, 15, 15) over directions of a unit specific force and a unit rate across it."""
     up, block = directions(), Block(kind=kind, axes=np.frombuffer(axes).reshape(-1, 3))
     beta = np.swapaxes(functions(block, up, up[:, [1, 2, 0]]), 0, 1)
     return np.asarray(np.swapaxes(beta, 1, 2) @ beta / len(up))
 
 
 def directions(count: int = DIRECTIONS) -> Array:
-    """Unit vectors (count, 3) spread evenly over the sphere: a Fibonacci lattice."""
+    """Return unit vectors (count, 3) spread evenly over the sphere: a Fibonacci lattice."""
     k = np.arange(count) + 0.5
     z, angle = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
     across = np.sqrt(1.0 - z**2)

@@ -1,13 +1,12 @@
-"""DevicePrior knowledge of the parameters of a device, such as what other units of its type are like.
+"""Prior knowledge of the parameters of a device, such as from other units of its type.
 
-A prior is the normal distribution N(m, S) of some parameters. It takes the place of the usual sizes that a grade has
-for these parameters. With the information Λ and h of the recording alone, the usual sizes of the others included, the
-estimate becomes
+A prior is a normal distribution N(m, S) of some parameters, in place of the usual sizes that a grade has for them. With
+the information Λ and h of the recording, and of the usual sizes of other parameters, the estimate becomes
 
     C = (Λ + S⁻¹)⁻¹,   x = C (h + S⁻¹ m)                                                                        (1)
 
-If the prior is right, x_j − m_j has the variance S_jj − C_jj. A parameter that is farther off than chance makes it in
-one of a hundred devices, by Student's t over all parameters (Holm), is named, and its prior is not used.
+If the prior is right, x_j − m_j has the variance S_jj − C_jj. A parameter with a deviation that occurs by chance in
+less than one of a hundred devices, by Student's t over all parameters (Holm), is named, and its prior is not used.
 """
 
 from __future__ import annotations
@@ -26,24 +25,23 @@ from tumble.reduction.observations import Observations
 from tumble.sensors.parameters import group_name, positions_by_group, to_temperature
 from tumble.units import Array
 
-UNLIKE = 0.01
-"""Probability, over all parameters of a device, of naming one that agrees with its prior."""
+UNLIKE = 0.01  # probability, over all parameters of a device, of rejecting a prior that is right
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class DevicePrior(Brief):
-    """What is known of a device before it is recorded.
+    """Prior knowledge of a device.
 
     Parameters
     ----------
     words
-        Where the knowledge comes from, such as "3 other units of the type 'M-1'".
+        Source of the knowledge, such as "3 other units of the type 'M-1'".
     names, mean, covariance
         Names (m,), mean (m,) and covariance (m, m) of the parameters, SI.
     degrees
-        Degrees of freedom (m,) behind the variances.
+        Degrees of freedom (m,) of the variances.
     reference
-        Temperature in °C to which the parameters refer; None if it is not known.
+        Temperature in °C to which the parameters refer; None if unknown.
     in_run
         Usual standard deviation of the in-run biases of "accel" and "gyro", SI.
     """
@@ -57,17 +55,17 @@ class DevicePrior(Brief):
     in_run: Mapping[str, float] = field(default_factory=dict)
 
     def at(self, reference: float | None) -> DevicePrior:
-        """The prior at another temperature in °C, by the slopes and curvatures it has."""
+        """Return the prior at another temperature in °C, by its own temperature coefficients."""
         if reference is None or self.reference is None:
             return self
         move = to_temperature(self.names, reference - self.reference)
         return replace(self, mean=move @ self.mean, covariance=move @ self.covariance @ move.T, reference=reference)
 
     def places(self, names: Sequence[str]) -> dict[int, int]:
-        """Positions among `names` with those in the prior, of the groups that the prior has as a whole."""
+        """Return positions among `names`, with those in the prior, of groups that are complete in the prior."""
         groups = positions_by_group(names).values()
-        whole = [i for members in groups if all(names[j] in self.names for j in members) for i in members]
-        return {i: self.names.index(names[i]) for i in sorted(whole)}
+        complete = [i for members in groups if all(names[j] in self.names for j in members) for i in members]
+        return {i: self.names.index(names[i]) for i in sorted(complete)}
 
 
 def with_prior(
@@ -78,9 +76,9 @@ def with_prior(
     Parameters
     ----------
     estimate, observations
-        The estimate with the usual sizes of the grade, and what it was made from.
+        The estimate with the usual sizes of the grade, and its observations.
     prior
-        What takes the place of the usual sizes.
+        Prior knowledge in place of the usual sizes.
     reference
         Temperature of the estimate in °C.
 
@@ -89,7 +87,7 @@ def with_prior(
     estimate
         The combined estimate; the same if the prior has none of its parameters.
     notes
-        Sentences on what the prior is of, and on the parameters that contradict it.
+        Sentences on the prior used, and on parameters that contradict it.
     """
     prior, names = prior.at(reference), estimate.names
     places = prior.places(names)
@@ -118,12 +116,13 @@ def with_prior(
     # the covariance by source
     further = {group.name for group in estimate.groups}
     replaced = {group_name(names[i]) for i in places} & further
-    kept = np.array([each.name.removeprefix("prior.") not in replaced for each in estimate.budget.sources])
-    moves = covariance @ _inverse(estimate.covariance)
+    sources = estimate.budget.sources
+    kept = np.array([part.name.removeprefix("prior.") not in replaced for part in sources])
+    change = covariance @ _inverse(estimate.covariance)
     budget = UncertaintyBudget(
-        sources=tuple(each for each, keep in zip(estimate.budget.sources, kept, strict=True) if keep),
-        covariances=moves @ estimate.budget.covariances[kept] @ moves.T,
-    ).beside(source("type"), covariance @ by_prior @ covariance)
+        sources=tuple(part for part, keep in zip(sources, kept, strict=True) if keep),
+        covariances=change @ estimate.budget.covariances[kept] @ change.T,
+    ).with_source(source("type"), covariance @ by_prior @ covariance)
     problem, before = estimate.linearised.problem, estimate.prediction
     observable = estimate.observable.copy()
     observable[[i for i in places if group_name(names[i]) in further]] = True
@@ -148,11 +147,11 @@ def with_prior(
 def _without_usual_sizes(
     estimate: Estimate, observations: Observations, places: Mapping[int, int]
 ) -> tuple[Array, Array]:
-    """Information Λ (m, m) and h (m,) of an estimate without the usual sizes of the groups that a prior replaces."""
+    """Return information Λ (m, m) and h (m,) of an estimate without the usual sizes that a prior replaces."""
     budget, names = estimate.budget, estimate.names
     assert budget is not None
     replaced = {group_name(names[i]) for i in places} & {group.name for group in estimate.groups}
-    kept = np.array([each.name.removeprefix("prior.") not in replaced for each in budget.sources])
+    kept = np.array([part.name.removeprefix("prior.") not in replaced for part in budget.sources])
     precision = _inverse(estimate.covariance)
     information = precision @ budget.covariances[kept].sum(axis=0) @ precision
     start = np.array([observations.start.get(name, 0.0) for name in names])
@@ -163,17 +162,17 @@ def _without_usual_sizes(
 def _combined(
     information: Array, shift: Array, prior: DevicePrior, places: Mapping[int, int]
 ) -> tuple[Array, Array, Array]:
-    """Values (m,) and covariance (m, m) by Eq. (1), and S⁻¹ (m, m)."""
-    at, of = list(places), list(places.values())
+    """Return values (m,) and covariance (m, m) by Eq. (1), and S⁻¹ (m, m)."""
+    at, in_prior = list(places), list(places.values())
     by_prior, mean = np.zeros_like(information), np.zeros(len(shift))
-    by_prior[np.ix_(at, at)] = _inverse(prior.covariance[np.ix_(of, of)])
-    mean[at] = prior.mean[of]
+    by_prior[np.ix_(at, at)] = _inverse(prior.covariance[np.ix_(in_prior, in_prior)])
+    mean[at] = prior.mean[in_prior]
     covariance = _inverse(information + by_prior)
     return covariance @ (shift + by_prior @ mean), covariance, by_prior
 
 
 def _inverse(matrix: Array) -> Array:
-    """The inverse of a symmetric matrix whose rows may be of very different sizes."""
+    """Return the inverse of a symmetric matrix, scaled because its rows may differ by orders of magnitude."""
     size = np.sqrt(np.diag(matrix))
     inverse = np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size)
     return np.asarray(0.5 * (inverse + inverse.T))

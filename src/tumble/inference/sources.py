@@ -1,20 +1,21 @@
-"""Sources of uncertainty by name: their words, whether of type A or B, and the covariance of an estimate by source; and
-those that err alike in a whole session, so that no residual shows them.
+"""Sources of uncertainty, the covariance of an estimate by source, and errors common to a whole session.
 
-Rounding. Where noise does not cover the steps L of a channel, the mean of many samples errs by a sawtooth of the place
-of the true value between two steps (`tumble.reduction.noise.rounding`). Rests that read the same err by the same, and
-so does a turn about another axis: the error is one of the bias. Of rests whose true values scatter by s the part
-e^(−2π²s²/L²) of it is common, of accelerometers in several attitudes nothing. Readings scatter by up to
-1 + 2 Σ_k e^(−2π²k²σ²/L²) times as much as the true values, which between two steps they do.
+Common errors do not appear in residuals:
 
-Time base. A clock that is fast by ε makes every turn longer by ε, and with it every scale factor of the gyros larger,
-unless their increments are angles already. Accelerometers are compared with gravity, whatever the time; but what is an
-increment of velocity divided by its interval is less by ε. Biases, delays and levers change by ε of themselves, which
-is nothing.
+Rounding. If noise does not cover the steps L of a channel, the error of the mean of many samples is a sawtooth of the
+position of the true value between two steps (`tumble.reduction.noise.rounding`). Rests with equal readings have equal
+errors, and so does a turn about another axis: the error is one of the bias. Of rests whose true values scatter by s,
+the part e^(−2π²s²/L²) of the error is common; of accelerometers in several attitudes, nothing is. Readings scatter by
+up to 1 + 2 Σ_k e^(−2π²k²σ²/L²) times as much as the true values between two steps.
 
-Earth's rate. In one attitude it is constant in the body, and so a part of what the biases of the gyros read. Its part
-along the vertical is known where the latitude is; its level part, Ω cos φ, has an unknown heading, over which its mean
-is zero and its covariance ½ Ω² cos² φ (1 − u uᵀ). Rests say nothing of it, be they ever so many.
+Time base. A clock that is fast by ε makes every turn longer by ε, and the scale factors of gyros larger by ε, unless
+their readings are increments of angle. Accelerometers are compared with gravity, independently of time; but readings
+that are increments of velocity divided by their interval are smaller by ε. Biases, delays and levers change by a
+negligible ε of themselves.
+
+Earth's rate. In one attitude it is constant in the body and adds to the biases of the gyros. Its vertical part is known
+if the latitude is; its horizontal part, Ω cos φ, has an unknown heading, over which its mean is zero and its covariance
+½ Ω² cos² φ (1 − u uᵀ), however many rests there are.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ if TYPE_CHECKING:
     from tumble.reduction.noise.rounding import Rounding
     from tumble.reduction.observations import Observations
 
-Evaluation = Literal["A", "B"]
-"""Of the standard uncertainty of a source: by statistics of this recording, or otherwise."""
+Evaluation = Literal["A", "B"]  # of a standard uncertainty: by statistics of this recording, or otherwise
+# words and evaluation of every source; the prior of a group of parameters is `prior.GROUP`
 WORDS: Mapping[str, tuple[str, Evaluation]] = {
     "accel.noise": ("noise of the accelerometers within rests", "A"),
     "gyro.noise": ("noise of the gyros within rests", "A"),
@@ -77,14 +78,14 @@ WORDS: Mapping[str, tuple[str, Evaluation]] = {
     "tilt": ("tilt that level faces have in common, or what is not linear", "B"),
     "case": ("placements on the faces of the case", "A"),
 }
-"""Of every source: in words, and how its uncertainty is evaluated. Those of groups of parameters are `prior.GROUP`."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Source:
-    """A source of uncertainty: its name and words, type A or B, its standard uncertainty with SI unit, None where it is
-    of several quantities, degrees of freedom behind that, None where they are many, and, of the prior of a group, what
-    its size rests on."""
+    """Source of uncertainty.
+
+    `u` is its standard uncertainty in `unit`, None if it has several quantities; `dof` are degrees of freedom, None if
+    many; `basis` is where the size of the prior of a group is from."""
 
     name: str
     words: str
@@ -96,25 +97,23 @@ class Source:
 
     @property
     def distribution(self) -> str:
-        """The distribution of its error: rectangular of rounding, Student's t where u has degrees of freedom, else
-        normal."""
+        """Distribution of the error: rectangular for rounding, t if u has degrees of freedom, else normal."""
         return "rectangular" if self.name == "rounding" else "normal" if self.dof is None else "t"
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class UncertaintyBudget:
-    """The covariance of an estimate by `sources` (S): `covariances` (S, m, m) of the parameters, SI, whose sum it
-    is."""
+    """Covariance of an estimate by source: the sum of `covariances` (S, m, m), SI, of S `sources`."""
 
     sources: tuple[Source, ...]
     covariances: Array
 
     def carried(self, jacobian: Array) -> UncertaintyBudget:
-        """The same of functions of the parameters, by their `jacobian` (q, m)."""
+        """Return the budget of functions of the parameters with this `jacobian` (q, m)."""
         return replace(self, covariances=jacobian @ self.covariances @ jacobian.T)
 
-    def beside(self, source: Source, covariance: Array) -> UncertaintyBudget:
-        """With another source, of this covariance (m, m); the same where it is nothing."""
+    def with_source(self, source: Source, covariance: Array) -> UncertaintyBudget:
+        """Return the budget with another source, unless its covariance (m, m) is zero."""
         if not covariance.any():
             return self
         covariances = np.concatenate([self.covariances, covariance[None]])
@@ -122,30 +121,40 @@ class UncertaintyBudget:
 
 
 def source(name: str, u: float | None = None, unit: str = "", dof: float | None = None) -> Source:
-    """The source of a name."""
+    """Return the source with a name in `WORDS`, or that of the prior of a group."""
     group = name.removeprefix("prior.")
     words, evaluation = WORDS.get(name, (f"usual size of {group}", "B"))
     return Source(name=name, words=words, type=evaluation, u=u, unit=unit, dof=dof)
 
 
-def of_fit(covariance: Array, by_gravity: Array, gravity_u: float, degrees: float) -> UncertaintyBudget:
-    """The budget of a fit whose residuals say how uncertain it is: what one standard uncertainty of gravity changes in
-    the parameters (m,), and the rest of their covariance (m, m)."""
-    of_gravity = np.outer(by_gravity, by_gravity)
-    every = UncertaintyBudget(
+def fit_budget(covariance: Array, by_gravity: Array, gravity_u: float, degrees: float) -> UncertaintyBudget:
+    """Return the budget of a fit with uncertainties from its residuals.
+
+    Parameters
+    ----------
+    covariance : (m, m)
+        Covariance of the parameters.
+    by_gravity : (m,)
+        Change of the parameters by one standard uncertainty of gravity.
+    gravity_u
+        Standard uncertainty of gravity, m/s².
+    degrees
+        Degrees of freedom of the residuals.
+    """
+    gravity_part = np.outer(by_gravity, by_gravity)
+    budget = UncertaintyBudget(
         sources=(source("fit", dof=degrees if np.isfinite(degrees) else None),),
-        covariances=(covariance - of_gravity)[None],
+        covariances=(covariance - gravity_part)[None],
     )
-    return every.beside(source("gravity", gravity_u, "m/s^2"), of_gravity)
+    return budget.with_source(source("gravity", gravity_u, "m/s^2"), gravity_part)
 
 
 _HARMONICS = np.arange(1, 40)
 
 
 def common_covariances(observations: Observations, instrument: Instrument) -> dict[str, Array]:
-    """Covariances (m, m) of the parameters by rounding, by the time base (`clock`) and in one attitude by the `earth`,
-    on top of that by noise."""
-    by_clock, u = by_time_base(instrument.names, observations.by_clock), np.zeros(len(instrument.names))
+    """Return covariances (m, m) of the parameters by rounding, time base (`clock`) and, in one attitude, `earth`."""
+    by_clock, u = clock_errors(instrument.names, observations.by_clock), np.zeros(len(instrument.names))
     for block, readings in ((instrument.accel, observations.rests.accel), (instrument.gyro, observations.rests.gyro)):
         if block is not None and block.kind in observations.rounding:
             size = common_rounding(observations.rounding[block.kind], readings)
@@ -160,8 +169,9 @@ def common_covariances(observations: Observations, instrument: Instrument) -> di
 
 
 def earth_at_rest(up: Array | None, latitude: float | None) -> tuple[Array, Array]:
-    """The Earth's rate in the body at rest, rad/s: its mean (3,) and covariance (3, 3) over the headings that it may
-    have, or where the vertical (3,) or the latitude, rad, is not known over all directions."""
+    """Return mean (3,) and covariance (3, 3) of the Earth's rate in the body at rest, rad/s, over unknown headings.
+
+    Without a vertical (3,) or a latitude, rad, they are those over all directions."""
     if up is None or latitude is None:
         return np.zeros(3), EARTH_RATE**2 / 3.0 * np.eye(3)
     level = 0.5 * (EARTH_RATE * np.cos(latitude)) ** 2 * (np.eye(3) - np.outer(up, up))
@@ -169,20 +179,21 @@ def earth_at_rest(up: Array | None, latitude: float | None) -> tuple[Array, Arra
 
 
 def common_rounding(rounding: Rounding, readings: Array) -> Array:
-    """Standard uncertainty (n,) of what is common to the mean readings (N, n) of all rests by rounding."""
+    """Return the standard uncertainty (n,) by rounding that is common to the mean readings (N, n) of all rests."""
     step = np.where(rounding.step > 0.0, rounding.step, 1.0)
     smoothed = np.exp(-2.0 * (np.pi * np.outer(rounding.noise / step, _HARMONICS)) ** 2)
     scatter = readings.std(axis=0) / step / (1.0 + 2.0 * smoothed.sum(axis=1))
     return np.asarray(rounding.common_u * np.exp(-2.0 * (np.pi * scatter) ** 2))
 
 
-def clocked(clock_u: float, increments: Mapping[str, bool]) -> dict[str, float]:
-    """What one standard uncertainty of the time base, relative, changes in parameters, by group; `increments` says of
-    each kind of sensor whether its readings were."""
+def clock_effects(clock_u: float, increments: Mapping[str, bool]) -> dict[str, float]:
+    """Return the changes of parameters, by group, by one relative standard uncertainty of the time base.
+
+    `increments` is True for each kind of sensor whose readings are increments."""
     sizes = {"gyro.scale": clock_u * (not increments.get("gyro", True)), "accel.scale": -clock_u * increments["accel"]}
     return {group: size for group, size in sizes.items() if size != 0.0}
 
 
-def by_time_base(names: Sequence[str], by_clock: Mapping[str, float]) -> Array:
-    """The same in parameters of these names (m,), by group and by name."""
+def clock_errors(names: Sequence[str], by_clock: Mapping[str, float]) -> Array:
+    """Return the changes (m,) of parameters of these names from those by group or by name."""
     return np.array([by_clock.get(group_name(name), 0.0) + by_clock.get(name, 0.0) for name in names])

@@ -1,8 +1,8 @@
-"""The start of the joint method, in closed form.
+"""First linearisation of the joint method, in closed form.
 
-Verticals from nominal accelerometers; gyro parameters by one linear least-squares pass over the rests and over the
-verticals that the turns carry (the indirect method); headings carried along each chain of turns, or of links, and
-turned together by what the gyros see of the horizontal Earth's rate.
+Verticals are those of nominal accelerometers. Gyro parameters are found by one linear least-squares fit to the rests
+and to the verticals carried along by the turns. Headings are carried along each chain of turns or links, and each chain
+is rotated to the horizontal Earth's rate observed by the gyros.
 """
 
 from __future__ import annotations
@@ -12,55 +12,53 @@ from itertools import accumulate
 import numpy as np
 
 from tumble.earth import EARTH_RATE
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Point, Problem
-from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.turns.links import PARTS
 from tumble.rotation import UP, rotation_matrix, skew, tangent_basis, unit_vector
 from tumble.units import Array, IntArray
 
-ROUGH_TURN = 1e-2  # rad: what the start takes the turns to err by
-ROUGH_DRIFT = 0.1  # of what gyros read at rest beyond the median: with it they drift, which no scale factor explains
-ROUGH_EFFECT = 1e-3  # rad: second-order effect that the start puts up with
-WINDOW = 4
-"""Links on each side of a station over which its mean acceleration counts as none."""
-VERTICAL = 1e-2  # a north with so little across the vertical is none, and any is taken
+ROUGH_TURN = 1e-2  # rad: assumed error of the turns
+ROUGH_DRIFT = 0.1  # assumed drift of the gyros, relative to the largest deviation of their rests from the median
+ROUGH_EFFECT = 1e-3  # rad: acceptable second-order effect
+WINDOW = 4  # links before and after a station over which the mean acceleration is taken as zero
+VERTICAL = 1e-2  # squared horizontal part of a carried north below which any north is taken
 
 
-def start_of(problem: Problem) -> tuple[Linearisation, tuple[Array, ...]]:
-    """The rows at a point near the solution, found in closed form, and the step there from zero."""
+def initial_linearisation(problem: Problem) -> Linearisation:
+    """Return the linearisation of a problem at a point near its solution."""
     observations, instrument = problem.observations, problem.instrument
     values = problem.prior_mean[1:].copy()
     if problem.moves:
-        return _started_in_motion(problem, values)
+        return _initial_motion(problem, values)
     force = problem.accel_model(values).apply(observations.rests.accel)
     vertical = unit_vector(force)
     about = None
     if instrument.gyro is not None:
-        about, values[instrument.own(instrument.gyro)] = _started_gyros(problem, values, vertical)
+        about, values[instrument.own(instrument.gyro)] = _initial_gyros(problem, values, vertical)
     attitudes = headings(problem, vertical, values, about)
     local = np.zeros((len(problem.parts), len(problem.local_u)))
     point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes, local=local)
-    return linearise(problem, point, about), (values,)
+    return linearise(problem, point, about)
 
 
-def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[TurnsAbout | None, Array]:
-    """Gyro parameters from the means of the rests and the verticals that the turns carry, linearised once, and the
-    turns integrated about them."""
+def _initial_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[IntegratedTurns | None, Array]:
+    """Return the turns integrated about gyro parameters fitted to rests and carried verticals, and the parameters."""
     observations, up, instrument = problem.observations, problem.earth[1], problem.instrument
     block = instrument.gyro
     assert block is not None
     own = instrument.own(block)
     median = np.median(observations.rests.gyro, axis=0)
-    started = values.copy()
-    started[own][: block.size] = median[block.channels]
+    values = values.copy()
+    values[own][: block.size] = median[block.channels]
     turns = observations.turns
     if turns is None:
-        return None, started[own]
-    about = TurnsAbout.of(observations, instrument, started)
-    derivative = np.einsum("ap,pqm->aqm", about.to_rate, block.jacobian(started[own]))
-    by_turn = about.rows(instrument, started, instrument.linearised(started), len(started))[:, :3, own]
+        return None, values[own]
+    about = IntegratedTurns.of(observations, instrument, values)
+    derivative = np.einsum("ap,pqm->aqm", about.to_rate, block.jacobian(values[own]))
+    by_turn = about.rows(instrument, values, instrument.linearised(values), len(values))[:, :3, own]
     back = np.einsum("kij,kj->ki", about.C, vertical[turns.last])
     rate = (observations.rests.gyro - median) @ about.to_rate.T
     rough = max(EARTH_RATE, ROUGH_DRIFT * float(np.abs(rate).max()))
@@ -76,15 +74,16 @@ def _started_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[Tu
         (rate - up * vertical).ravel() / rough,
         np.zeros(count),
     ])  # fmt: skip
-    started[own] += np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
-    near = bool(np.all(about.second_order(about.since(instrument, started))[0] < ROUGH_EFFECT))
-    return (about if near else TurnsAbout.of(observations, instrument, started)), started[own]
+    values[own] += np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
+    near = bool(np.all(about.second_order(about.gyro_offset(instrument, values))[0] < ROUGH_EFFECT))
+    return (about if near else IntegratedTurns.of(observations, instrument, values)), values[own]
 
 
-def headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout | None) -> Array:
-    """Attitudes (N, 3, 3) with these verticals. With N', E' the axes of a chain whose heading is any, carried along by
-    the turns, the rates at rest are ω − Ω_U u = δ + a N' + s E', where the gyros still err by δ: linear in δ and in a
-    and s of each chain."""
+def headings(problem: Problem, vertical: Array, values: Array, about: IntegratedTurns | None) -> Array:
+    """Return attitudes (N, 3, 3) with these verticals, each chain rotated to the Earth's rate.
+
+    With N', E' the axes of a chain of arbitrary heading, carried along by the turns, the rates at rest are
+    ω − Ω_U u = δ + a N' + s E': linear in the error δ of the gyros, and in a and s of each chain."""
     observations, turns = problem.observations, problem.observations.turns
     if about is None or turns is None:
         attitudes = carried_attitudes(problem, vertical, np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3)), np.zeros(0))
@@ -96,12 +95,12 @@ def headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout
     chain = problem.chain
     first, size = np.flatnonzero(np.diff(chain, prepend=-1)), np.sqrt(np.bincount(chain))[:, None]
     level = attitudes[:, ::2]  # N' and E'
-    seen = np.add.reduceat((level @ rate[:, :, None])[:, :, 0], first, axis=0) / size
+    observed = np.add.reduceat((level @ rate[:, :, None])[:, :, 0], first, axis=0) / size
     axes = np.add.reduceat(level, first, axis=0) / size[:, None]
     flat = axes.reshape(-1, 3)
     normal = len(rate) * np.eye(3) - flat.T @ flat
-    error = np.linalg.lstsq(normal, rate.sum(axis=0) - flat.T @ seen.ravel(), 1e-6)[0]
-    heading = unit_vector(seen - axes @ error)[chain]
+    error = np.linalg.lstsq(normal, rate.sum(axis=0) - flat.T @ observed.ravel(), 1e-6)[0]
+    heading = unit_vector(observed - axes @ error)[chain]
     out = np.empty_like(attitudes)
     out[:, 0], out[:, 1] = (heading[:, None] @ level)[:, 0], vertical
     out[:, 2] = (skew(out[:, 0]) @ vertical[:, :, None])[:, :, 0]
@@ -109,22 +108,21 @@ def headings(problem: Problem, vertical: Array, values: Array, about: TurnsAbout
 
 
 def carried_attitudes(problem: Problem, vertical: Array, before: IntArray, C: Array, seconds: Array) -> Array:
-    """Attitudes (M, 3, 3) with these verticals (M, 3), in which each heading is that of the station before, carried by
-    what turns the body in between.
+    """Return attitudes (M, 3, 3) with these verticals (M, 3), with headings carried from station to station.
 
     Parameters
     ----------
     problem, vertical
         The problem, and the vertical in the body at each station.
     before : (K,)
-        Stations that are followed by the next, in order.
+        Stations that are connected to the next, in order.
     C, seconds : (K, 3, 3), (K,)
-        Rotations from these to the next, body at the end → body at the start, and how long they last, s.
+        Rotations in between, body at the end → body at the start, and their durations, s.
     """
     north, around = -tangent_basis(vertical)[:, 1], rotation_matrix(-seconds[:, None] * problem.earth[1] * UP)[:, 0]
     up = vertical[before + 1]
     turned = around[:, 0, None, None] * np.eye(3) + around[:, 2, None, None] * skew(vertical[before])
-    onward = turned @ C @ (np.eye(3) - up[:, :, None] * up[:, None])  # a north, carried and made level again
+    onward = turned @ C @ (np.eye(3) - up[:, :, None] * up[:, None])  # carries a north and makes it level
     for i, carried in zip(before.tolist(), onward, strict=True):
         level = north[i] @ carried
         if level @ level > VERTICAL:
@@ -132,12 +130,12 @@ def carried_attitudes(problem: Problem, vertical: Array, before: IntArray, C: Ar
     return np.stack([north, vertical, np.cross(north, vertical)], axis=1)
 
 
-def _started_in_motion(problem: Problem, values: Array) -> tuple[Linearisation, tuple[Array, ...]]:
-    """The start of a device that moves.
+def _initial_motion(problem: Problem, values: Array) -> Linearisation:
+    """Return the first linearisation of a moving device.
 
     Over WINDOW links on each side of a station the mean acceleration is small, so that the sum of the velocities of the
-    links, turned into the body there, is along the vertical. A bias b of the gyros turns a vertical that is carried
-    back by −∫ A b dt: by least squares it is the one with which the verticals of stations 2 WINDOW apart agree."""
+    links, in the body there, is along the vertical. A gyro bias b rotates a vertical that is carried back by −∫ A b dt;
+    b is fitted by least squares to the verticals of stations 2 WINDOW links apart."""
     observations, instrument, M = problem.observations, problem.instrument, len(problem.link)
     block, chain, station = instrument.gyro, problem.chain, np.arange(M)
     assert block is not None
@@ -148,7 +146,7 @@ def _started_in_motion(problem: Problem, values: Array) -> tuple[Linearisation, 
     here = here[chain[here] == chain[here + 2 * WINDOW]]
     there = here + 2 * WINDOW
     for _ in range(2):
-        C, V, T = _transitions(problem, TurnsAbout.of(observations, instrument, values))
+        C, V, T = _transitions(problem, IntegratedTurns.of(observations, instrument, values))
         A = np.array(list(accumulate(C[:-1], np.matmul, initial=np.eye(3))))
         gained = np.concatenate([np.zeros((1, 3)), np.cumsum((A @ V[:, :, None])[:, :, 0], axis=0)])
         vertical = unit_vector((np.swapaxes(A, 1, 2) @ (gained[high] - gained[low])[:, :, None])[:, :, 0] + 1e-12 * UP)
@@ -160,50 +158,51 @@ def _started_in_motion(problem: Problem, values: Array) -> tuple[Linearisation, 
         if len(rows):
             bias = np.linalg.lstsq(rows.reshape(-1, 3), (vertical[here] - back).ravel(), rcond=1e-6)[0]
             values[own][: block.size] += (block.axes @ bias)[block.channels]
-    about = TurnsAbout.of(observations, instrument, values)
+    about = IntegratedTurns.of(observations, instrument, values)
     C, _, T = _transitions(problem, about)
-    followed = np.flatnonzero(chain[:-1] == chain[1:])
+    before = np.flatnonzero(chain[:-1] == chain[1:])
     point = Point(
         values=values,
         gravity=observations.site.gravity,
-        attitudes=carried_attitudes(problem, vertical, followed, C[followed], T[followed]),
+        attitudes=carried_attitudes(problem, vertical, before, C[before], T[before]),
         local=np.zeros((1, len(problem.local_u))),
         velocities=np.zeros((M, 3)),
         displacements=np.zeros((M, 3)),
     )
     if problem.earth[0] != 0.0:
         point = _turned_to_north(problem, point, about)
-    return linearise(problem, point, about), (values,)
+    return linearise(problem, point, about)
 
 
-def _turned_to_north(problem: Problem, point: Point, about: TurnsAbout) -> Point:
-    """The point with the headings of its chains by the horizontal rate of the Earth that the gyros see in motion. A
-    linear step moves along the tangent of the circle of headings, by sin e where it is e off, and by −cos e a quarter
-    of a turn on; from far off such steps alone would be too short."""
+def _turned_to_north(problem: Problem, point: Point, about: IntegratedTurns) -> Point:
+    """Return the point with the heading of each chain by the horizontal Earth's rate observed in motion.
+
+    Heading steps of a linear solution, which are too short from far off, are proportional to sin e for an error e of
+    the heading, and to −cos e a quarter of a turn further; their ratio gives e."""
     chain, none = problem.chain, np.zeros(1 + len(point.values))
 
     def turned(by: Array) -> Point:
         return point.moved(none, by[chain, None] * np.array([0.0, 0.0, 1.0]))
 
-    seen = list[Array]()
+    steps = list[Array]()
     for quarters in range(2):
-        there = turned(np.full(chain[-1] + 1, 0.5 * np.pi * quarters))
-        step = solve(linearise(problem, there, about)).angles[:, 2]
-        seen.append(np.bincount(chain, step) / np.bincount(chain))
-    return turned(np.arctan2(seen[0], -seen[1]))
+        rotated = turned(np.full(chain[-1] + 1, 0.5 * np.pi * quarters))
+        angles = solve(linearise(problem, rotated, about)).angles[:, 2]
+        steps.append(np.bincount(chain, angles) / np.bincount(chain))
+    return turned(np.arctan2(steps[0], -steps[1]))
 
 
-def _transitions(problem: Problem, about: TurnsAbout) -> tuple[Array, Array, Array]:
-    """Rotations (M, 3, 3), velocities (M, 3) and durations (M,) from each station to the next one; of what nothing
-    joins 1 and 0."""
+def _transitions(problem: Problem, about: IntegratedTurns) -> tuple[Array, Array, Array]:
+    """Return rotations (M, 3, 3), velocities (M, 3) and durations (M,) from each station to the next; 1 and 0 if
+    none."""
     links, turns, M = problem.observations.links, problem.observations.turns, len(problem.link)
     assert links is not None
     assert about.links is not None
     C, V, T = np.tile(np.eye(3), (M, 1, 1)), np.zeros((M, 3)), np.zeros(M)
     parts = (x.reshape(len(links), PARTS, *x.shape[1:]) for x in (about.links.C, about.links.moments.V))
-    for of_part, moved in zip(*(np.swapaxes(x, 0, 1) for x in parts), strict=True):
-        V[links.before] += (C[links.before] @ moved[:, :, None])[:, :, 0]
-        C[links.before] = C[links.before] @ of_part
+    for part_C, part_V in zip(*(np.swapaxes(x, 0, 1) for x in parts), strict=True):
+        V[links.before] += (C[links.before] @ part_V[:, :, None])[:, :, 0]
+        C[links.before] = C[links.before] @ part_C
     T[links.before] = links.duration
     if turns is not None and len(turns):
         C[problem.before_turn], V[problem.before_turn] = about.C, about.moments.V

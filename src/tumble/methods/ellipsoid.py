@@ -20,7 +20,7 @@ from tumble.diagnosis.linear_model import converged_joint, omitted_by_rests, omi
 from tumble.diagnosis.observability import Refusal
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Fit
-from tumble.inference.sources import of_fit
+from tumble.inference.sources import fit_budget
 from tumble.methods.ellipsoid_fit import EllipsoidFit, fit_ellipsoid
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
@@ -133,7 +133,7 @@ def estimate_of(
         fits={"accelerometers": fit.fit("m/s^2")},
         converged=fit.converged,
         degrees=fit.noise_degrees * ratio**2,  # Welch, Satterthwaite
-        budget=of_fit(covariance, fit.by_modulus, observations.site.gravity_u, fit.noise_degrees),
+        budget=fit_budget(covariance, fit.by_modulus, observations.site.gravity_u, fit.noise_degrees),
     )
     if not observations.usual:
         return estimate

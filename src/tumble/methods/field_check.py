@@ -35,13 +35,13 @@ import numpy as np
 import scipy
 
 from tumble.inference.estimate import DETERMINED, Fit
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import linearise
-from tumble.inference.maximum import integrated, moved
+from tumble.inference.maximum import reintegrated_turns, take_step
 from tumble.inference.noise import VarianceComponents
 from tumble.inference.normal_equations import eliminate_rests, solve
 from tumble.inference.problem import Point, Prior, Problem
 from tumble.inference.start import headings
-from tumble.inference.turns_about import TurnsAbout
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
 from tumble.sensors.compensation import specific_force
@@ -313,14 +313,14 @@ def session_information(
     instrument, turns, values = prior.instrument, observations.turns, prior.values
     start = dict(zip(instrument.names, values.tolist(), strict=True))
     problem = Problem.of(replace(observations, start=start), Prior(covariance=covariance), instrument=instrument)
-    about = None if turns is None or not len(turns) else TurnsAbout.of(observations, instrument, values)
+    about = None if turns is None or not len(turns) else IntegratedTurns.of(observations, instrument, values)
     vertical = unit_vector(specific_force(instrument, values, observations.rests.accel))
     attitudes = headings(problem, vertical, values, about)
     point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
     for _ in range(MAX_ITERATIONS):
         step = solve(linearise(problem, point, about, prior.components))
-        there, change = moved(step)
-        near = integrated(problem, there, about)
+        there, change = take_step(step)
+        near = reintegrated_turns(problem, there, about)
         if near is about and np.all(np.abs(change) <= CONVERGED * np.sqrt(np.diag(step.covariance)[1:])):
             break
         point, about = there, near

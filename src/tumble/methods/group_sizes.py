@@ -131,6 +131,6 @@ def with_groups(
         full,
         covariance=covariance,
         degrees=degrees_of(factor),
-        budget=budget.beside(source("gravity", observations.site.gravity_u, "m/s^2"), by_modulus),
+        budget=budget.with_source(source("gravity", observations.site.gravity_u, "m/s^2"), by_modulus),
         prediction=prediction(instrument, full.values, covariance, gravity=observations.site.gravity, rate=None),
     )

@@ -27,14 +27,14 @@ from tumble.brief import Brief
 from tumble.diagnosis.linear_model import is_omitted, shift_by_likelihood
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.inference.estimate import DETERMINED, SEEN
+from tumble.inference.estimate import DETERMINED, UNOBSERVABLE_SHARE
 from tumble.inference.hyperparameters import size_factors
+from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import VarianceComponents
 from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Point, Problem
-from tumble.inference.sources import by_time_base, clocked
-from tumble.inference.turns_about import TurnsAbout
+from tumble.inference.sources import clock_effects, clock_errors
 from tumble.inference.uncertainty_budget import contributions
 from tumble.planning.expected_sizes import with_expected_sizes
 from tumble.planning.in_motion import Motion, observed_in_motion
@@ -182,7 +182,7 @@ def bound_by(rows: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
     lengths = np.sqrt(np.linalg.eigvalsh(of_linear / np.outer(natural, natural)))
 
     # the time base affects the scale factors of sensors that read rates, not of those that read increments
-    clock = by_time_base(instrument.names, clocked(clock_u, {"accel": False, "gyro": False}))
+    clock = clock_errors(instrument.names, clock_effects(clock_u, {"accel": False, "gyro": False}))
     covariance = covariance + np.outer(clock, clock)
     priors = {name: f"prior.{name}" for name in instrument.members}
     sources = {name: np.diag(parts[part]) for name, part in {GRAVITY: "gravity", **priors}.items() if part in parts}
@@ -192,7 +192,9 @@ def bound_by(rows: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
         units=instrument.units,
         linear=linear,
         covariance=covariance,
-        observable=np.append(np.sqrt((undetermined**2).sum(axis=0)) < SEEN, np.ones(m - linear, dtype=bool)),
+        observable=np.append(
+            np.sqrt((undetermined**2).sum(axis=0)) < UNOBSERVABLE_SHARE, np.ones(m - linear, dtype=bool)
+        ),
         null=null / np.linalg.norm(null, axis=1, keepdims=True),
         condition=np.inf if len(null) else float(lengths[-1] / lengths[0]),
         sources={NOISE: np.maximum(np.diag(covariance) - sum(sources.values()), 0.0), **sources},
@@ -265,7 +267,7 @@ def linearised_course(course: Itinerary | Motion, setup: Setup, *, gyros: bool) 
         displacements=still,
     )
     if observations.turns is not None:
-        about = TurnsAbout.of(observations, instrument, values)
+        about = IntegratedTurns.of(observations, instrument, values)
     return linearise(problem, point, about, components)
 
 

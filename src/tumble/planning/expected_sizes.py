@@ -10,9 +10,9 @@ each hyperparameter alone is
 with random χ² of ν degrees of freedom and y of variance s² + v. For scatter the root mean square of σ is taken, of the
 median session. For a group, the width of the prior is taken that gives a parameter its variance: the mean of
 1/(1/λ²s² + 1/v) and of the variation of its value with λ, averaged over sessions, as it is much larger in a few. A
-group that the session hardly determines (`SHOWN`) keeps its usual size, as in the integral. Each is found with the
-expected sizes of all others. An in-run bias is a group with as many members as states, whose prior is log-normal about
-the size of the set-up.
+group that the session hardly determines (`INFORMATIVE_GROUP`) keeps its usual size, as in the integral. Each is found
+with the expected sizes of all others. An in-run bias is a group with as many members as states, whose prior is
+log-normal about the size of the set-up.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from tumble.inference.hyperparameters import (
     hyperparameters_of,
     quadratic_forms,
 )
-from tumble.inference.integral import SHOWN
+from tumble.inference.integral import INFORMATIVE_GROUP
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import SCATTER, TURN_SCATTER
 from tumble.inference.normal_equations import Solution, solve
@@ -71,7 +71,7 @@ def with_expected_sizes(rows: Linearisation) -> Linearisation:
             learned = np.clip(1.0 - v / s**2, 0.0, 1.0)
             larger = np.exp(2.0 * (2.0 * learned.sum() + h.within**-2) ** -0.5)
             information = 2.0 * (larger * learned / (larger * learned + 1.0 - learned)).sum()
-            sizes[1:][h.members] = s * _expected_size(s, v, h.within) if information > SHOWN else s
+            sizes[1:][h.members] = s * _expected_size(s, v, h.within) if information > INFORMATIVE_GROUP else s
         problem = replace(problem, prior_u=sizes)
     return replace(rows, problem=problem).with_components(components)
 

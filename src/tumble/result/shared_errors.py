@@ -17,7 +17,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tumble.inference.sources import by_time_base, clocked
+from tumble.inference.sources import clock_effects, clock_errors
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import gravity_sensitivity, shared_gravity
 from tumble.result.parts import Parameter, SourceContributions
@@ -87,4 +87,6 @@ def time_base_sensitivity(calibration: Calibration) -> Array:
     """Return the change (m,) of the parameters of a calibration by one standard uncertainty of the time base."""
     increments = dict.fromkeys(("accel", "gyro"), False)
     increments |= {kind: readings.increments for kind, readings in calibration.provenance.readings.items()}
-    return by_time_base([p.name for p in calibration.parameters], clocked(calibration.provenance.clock_u, increments))
+    return clock_errors(
+        [p.name for p in calibration.parameters], clock_effects(calibration.provenance.clock_u, increments)
+    )

@@ -28,7 +28,7 @@ from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.hyperparameters import size_factors
 from tumble.inference.joint import joint
 from tumble.inference.prior import DevicePrior, with_prior
-from tumble.inference.sources import by_time_base, clocked, source
+from tumble.inference.sources import clock_effects, clock_errors, source
 from tumble.recording.arrays import SensorArrays, readings_of, session_of_arrays
 from tumble.recording.log import Log
 from tumble.recording.session import Session
@@ -210,7 +210,7 @@ def _calibrated(
     if clock is None and not isinstance(result, Outcome) and (clock := clock_by_earth(result[0])) is not None:
         log = replace(session.log, clock_rate=session.log.clock_rate * clock.rate, clock_u=clock.u)
         repeated = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, base, clock)
-        sentence = clock.sentence(" and ".join(clocked(clock.u, log.increments)) or "no parameter")
+        sentence = clock.sentence(" and ".join(clock_effects(clock.u, log.increments)) or "no parameter")
         contradicted = abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * session.log.time_base_u
         return _with(repeated, remarks={sentence: ()}) if contradicted else _with(repeated, notes=(sentence,))
     bridged = (*gap_notes(observed.gaps), *observed.segmentation.unused())
@@ -349,7 +349,7 @@ def estimate_observations(
     clock: ClockByEarth | None = None,
 ) -> tuple[Estimate, Observations] | Outcome:
     """Return the estimate by a method and its observations, or an Outcome with the reason if there is none."""
-    by_clock = clocked(session.log.time_base_u, session.log.increments) | dict(clock.changes if clock else {})
+    by_clock = clock_effects(session.log.time_base_u, session.log.increments) | dict(clock.changes if clock else {})
     linear_joint = method is joint and terms == "linear"
     observations = with_grade(session, observations)
     if prior is not None:
@@ -360,9 +360,9 @@ def estimate_observations(
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples
             estimate = linear_model.linear_joint(observations) if linear_joint else method(observations)
         if estimate.method != "joint":  # the method joint includes the time base
-            change, relative = by_time_base(estimate.names, by_clock), max(map(abs, by_clock.values()), default=0.0)
+            change, relative = clock_errors(estimate.names, by_clock), max(map(abs, by_clock.values()), default=0.0)
             clock_covariance, budget = np.outer(change, change), estimate.budget
-            budget = None if budget is None else budget.beside(source("clock", relative, "1"), clock_covariance)
+            budget = None if budget is None else budget.with_source(source("clock", relative, "1"), clock_covariance)
             estimate = replace(estimate, covariance=estimate.covariance + clock_covariance, budget=budget)
         if linear_joint or estimate.method != "joint":
             notes += linear_model.omitted_groups_note(estimate)
@@ -387,7 +387,7 @@ def estimate_observations(
 def assumptions(session: Session) -> tuple[str, ...]:
     """Return a sentence for each assumption about a session, with the statement that would replace it."""
     site, log, sentences = session.site, session.log, list[str]()
-    by_clock = clocked(log.time_base_u, log.increments)
+    by_clock = clock_effects(log.time_base_u, log.increments)
     mm = f"{1e3 * site.gravity_u:.2g} mm/s²"
     if site.assumed == "height":
         sentences.append(

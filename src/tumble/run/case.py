@@ -157,7 +157,7 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
         by_case = np.zeros_like(covariance)
         part = slice(len(framed.names))
         by_case[part, part] = framed.covariance - budget.covariances[:, part, part].sum(axis=0)
-        budget = budget.beside(source("case", alignment.scatter, "rad"), by_case)
+        budget = budget.with_source(source("case", alignment.scatter, "rad"), by_case)
     degrees = estimate.degrees  # the conversion mixes the linear parameters: all get the fewest
     if degrees is not None:
         degrees = np.append(np.full(len(framed.names), degrees[:linear].min()), degrees[linear:])

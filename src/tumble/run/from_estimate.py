@@ -12,7 +12,7 @@ from tumble.diagnosis.undetermined import faces_alone
 from tumble.diagnosis.verdict import doubtful_gravity, verdict
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
-from tumble.inference.variables import RAMP, at_two_temperatures, both_ways, over_a_range
+from tumble.inference.variables import RAMP_RANGE, at_two_temperatures, over_a_range, ramps_up_and_down
 from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations
@@ -354,7 +354,7 @@ def temperature_notes(estimate: Estimate, observations: Observations) -> Iterato
     if observations.links is not None:
         records = [] if observations.thermometers is None else observations.thermometers.files.values()
         change = max((float(np.ptp(record, axis=0).max()) for _, record in records), default=0.0)
-        if change > RAMP:
+        if change > RAMP_RANGE:
             yield (
                 f"temperature changed by {change:.1f} K in motion: biases are followed in time, but how scale factors "
                 "and axes change with it is not in u; let the device warm up before, or put it down in nine or more "
@@ -393,7 +393,7 @@ def temperature_notes(estimate: Estimate, observations: Observations) -> Iterato
                 "other temperatures too"
             )
     lags = [float(estimate.u[estimate.names.index(name)]) for name in LAGS if name in estimate.names]
-    if lags and not both_ways(observations):
+    if lags and not ramps_up_and_down(observations):
         yield (
             f"the temperature was not passed both ways: lags behind the thermometer are known to {max(lags):.0f} s "
             "only, and hysteresis not at all, which is in u by its usual size; ramp up and down in one recording"

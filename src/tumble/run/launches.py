@@ -23,7 +23,7 @@ from tumble.inference.estimate import GroupFinding, Outcome
 from tumble.inference.magnetic_estimate import block_near
 from tumble.inference.prediction import Prediction, prediction
 from tumble.inference.prior import DevicePrior
-from tumble.inference.sources import UncertaintyBudget, by_time_base, clocked, source
+from tumble.inference.sources import UncertaintyBudget, clock_effects, clock_errors, source
 from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
@@ -134,7 +134,7 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
     )
     values, covariances = at_temperature(launches, names, temperature)
     clock_u = min(run.session.log.time_base_u for run in runs)
-    by_clock = by_time_base(names, clocked(clock_u, session.log.increments))
+    by_clock = clock_errors(names, clock_effects(clock_u, session.log.increments))
     shared = _shared_covariances(launches, names, covariances, by_clock)
     parameters, covariance, within = _mean_parameters(launches, names, values, covariances, shared)
     mean, shared_mean = values.mean(axis=0), sum(each.mean(axis=0) for each in shared.values())
@@ -145,7 +145,7 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
         (source("gravity", None if site is None else site.gravity_u, "m/s^2"), shared["gravity"][0]),
         (source("clock", clock_u, "1"), shared["clock"][0]),
     ):
-        budget = budget.beside(each, part)
+        budget = budget.with_source(each, part)
     by_name = dict(zip(names, mean.tolist(), strict=True))
     convention = frame_of(first.frame)
     return Calibration(
@@ -291,7 +291,7 @@ def _mean_budget(
             dof = welch_satterthwaite((size**2, each.dof) for size, each in zip(u, members, strict=True))
         rms = None if members[0].u is None else float(np.sqrt(np.mean(np.square(u))))
         each_source = replace(source(name, rms, members[0].unit, dof), basis=members[0].basis)
-        budget = budget.beside(each_source, np.diag(share * np.diag(within)) + prior.mean(axis=0))
+        budget = budget.with_source(each_source, np.diag(share * np.diag(within)) + prior.mean(axis=0))
     return budget
 
 

@@ -42,7 +42,7 @@ from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
 from tumble.inference.problem import Prior
 from tumble.inference.sources import source
-from tumble.inference.variables import both_ways
+from tumble.inference.variables import ramps_up_and_down
 from tumble.recording.session import Session
 from tumble.reduction.observations import Observations, one_direction
 from tumble.reduction.rests.segmentation import find_rests
@@ -184,7 +184,9 @@ def _estimated(
     usual, sizes = dict(graded.usual), dict[str, float]()
     for kind, separate in (("accel", has_attitudes), ("gyro", has_turns)):
         usual[f"{kind}.bias.t3"] = CURVED * usual[f"{kind}.bias.t2"]
-        names = [f"bias.{power}" for power in OVER_TEMPERATURE] + ["lag"] + ["bias.hysteresis"] * both_ways(graded)
+        names = (
+            [f"bias.{power}" for power in OVER_TEMPERATURE] + ["lag"] + ["bias.hysteresis"] * ramps_up_and_down(graded)
+        )
         names += [f"scale.{power}" for power in OVER_TEMPERATURE] if separate else []
         sizes |= {f"{kind}.{name}": usual[f"{kind}.{name}"] for name in names if f"{kind}.{name}" in usual}
     calibrated = {} if base is None else {p.name: p for p in base.in_frame("accelerometer").parameters}
@@ -279,7 +281,7 @@ def _with_coefficients(
                 by_scale[first + new.index(name), kept_names.index(scale)] = -f
             elif name in new:
                 u_by_scale[new.index(name)] = size * f
-        budget = budget.beside(source(f"prior.accel.scale.{power}", size, "1/K"), np.diag(u_by_scale**2))
+        budget = budget.with_source(source(f"prior.accel.scale.{power}", size, "1/K"), np.diag(u_by_scale**2))
         covariance[first:, first:] += np.diag(u_by_scale**2)
     covariance, values = by_scale @ covariance @ by_scale.T, by_scale @ values
     lines = {line.name: line for line in base.evidence.budget}

@@ -469,7 +469,7 @@ class _SessionData:
             covariances[each.name] = covariances.get(each.name, 0.0) + part
         budget = UncertaintyBudget(sources=(), covariances=np.empty((0, *[len(derivative)] * 2)))
         for name, covariance in covariances.items():
-            budget = budget.beside(sources[name], covariance)
+            budget = budget.with_source(sources[name], covariance)
         return budget
 
 
@@ -490,7 +490,7 @@ def _estimate(
     assert by_likelihood.linearised is not None
     budget = session.budget(derivative, by_likelihood.linearised.components)
     limit, converged = session.limit(values, turned, np.sqrt(np.diag(budget.covariances.sum(axis=0))))
-    budget = budget.beside(source("passes"), np.outer(limit - values, limit - values))
+    budget = budget.with_source(source("passes"), np.outer(limit - values, limit - values))
     dof = {each.name: each.dof for each in by_likelihood.budget.sources}
     budget = replace(budget, sources=tuple(replace(each, dof=dof.get(each.name)) for each in budget.sources))
     variances = np.diagonal(budget.covariances, axis1=1, axis2=2)

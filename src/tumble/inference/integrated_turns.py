@@ -1,15 +1,15 @@
-"""The turns of a session about the parameters they were integrated with: how rotation and velocity change with others.
+"""Turns integrated about values of the parameters, and their derivatives by the parameters.
 
 With the moments of a turn (`tumble.reduction.turns.moments`) and s_p the column of sensor p in the left inverse, a
-change ΔK of the coefficients of a reading turns C into exp([φ×]) C and adds to V,
+change ΔK of the coefficients of readings changes the rotation C to exp([φ×]) C and adds ΔV to the velocity V,
 
     φ = −P_pb ΔK_pb,    ΔV = −Q_pb ΔK_pb,    P = Φ_ijb s_jp,    Q = Ψ_ijb s_jp of gyros, Φ_ijb s_jp of accelerometers
     (9)
 
-for every function b of every sensor p. Lever arms and delays enter V by the columns of docs/explanation/mathematics.md
-(10) and (11); and φ where gyros feel the specific force, which is known from readings that are late and taken
-elsewhere: by the same columns with to_rate G s_p, G the g-sensitivity, in place of s_p. Velocities feel it as if it
-grew with time.
+summed over every function b of every sensor p. V depends on lever arms and delays by the columns of
+docs/explanation/mathematics.md (10) and (11). If gyros respond to specific force, which is measured late and elsewhere,
+φ depends on them by the same columns, with to_rate G s_p in place of s_p, G being the g-sensitivity; for velocities
+this response is taken as growing in proportion to time.
 """
 
 from __future__ import annotations
@@ -38,26 +38,45 @@ from tumble.sensors.compensation import angular_rate, specific_force
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import CONSTANT, FORCE, FUNCTIONS, OWN_CUBE, OWN_SIZE, PAIRS, PRODUCTS, RATE, Motion
-from tumble.units import G_STANDARD, Array, IntArray
+from tumble.units import G_STANDARD, Array
 
+# largest second-order effects, rad and relative to the noise, at which turns are not integrated again
 SECOND_ORDER = 1e-7  # rad
-SECOND_ORDER_SHARE = 0.01  # of the noise of a turn
-VELOCITY_SHARE = 0.1  # of the noise of its velocity
-CHANGES_SHARE = 0.1  # of the noise: second order of changes from turn to turn that are not integrated about
+SECOND_ORDER_SHARE = 0.01  # of the noise of a rotation
+VELOCITY_SHARE = 0.1  # of the noise of a velocity
+CHANGES_SHARE = 0.1  # of the noise, by changes of the coefficients from turn to turn
 
 _FIRST, _SECOND = np.array(PAIRS).T
 NONE = np.zeros(0)
-
+# specific forces, then rates (K, 3), at rest at the start and at the end of the turns
 Ends = tuple[tuple[Array, Array], tuple[Array, Array]]
-"""Specific forces, then rates (K, 3), at rest at the start and at the end of the turns."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TurnsAbout:
-    """Turns and what they were integrated about: `coefficients` (n, 15) of the accelerometers and gyros, or (K, n, 15)
-    where each turn has its own, and a `lateness` of the former, s, common to all. Their moments, and `paths`
-    (K, 6, n, 15), P above Q of the module's docstring; `turn_only` are −∂φ above −∂V (K, 6, m) of lever arms and of
-    delays."""
+class IntegratedTurns:
+    """Turns integrated about values of the parameters.
+
+    Parameters
+    ----------
+    coefficients : (n, 15) or (K, n, 15)
+        Coefficients of accelerometers and gyros about which all turns, or each, were integrated.
+    lateness
+        Delay of the accelerometers about which they were integrated, s.
+    moments
+        Moments of the turns.
+    paths : (K, 6, n, 15)
+        P above Q of the module's docstring.
+    turn_only
+        −∂φ above −∂V (K, 6, m) by lever arms and by delays.
+    to_rate : (3, n)
+        Left inverse of the gyros.
+    arrays
+        Likelihoods of the lever arms of arrays.
+    growing : (K, 6, n, 15)
+        `paths` of coefficients that grow by 1 per second about the middle of the turns.
+    links
+        Parts of the links of a moving device.
+    """
 
     coefficients: Array
     lateness: float
@@ -66,22 +85,19 @@ class TurnsAbout:
     turn_only: Mapping[Motion, Array]
     to_rate: Array
     arrays: tuple[ArrayLevers, ...] = ()
-    """What the accelerometers of arrays say of each other in motion."""
     growing: Array | None = None
-    """Paths of coefficients that grow by 1 a second about the middle of the turns."""
-    links: TurnsAbout | None = None
-    """The parts of the links of a device that moves."""
+    links: IntegratedTurns | None = None
 
     @staticmethod
     def of(
         observations: Observations, instrument: Instrument, values: Array, changes: Array | None = None
-    ) -> TurnsAbout:
-        """The turns of a session, integrated about these values, and about `changes` (K, n, 15) of the coefficients of
-        the accelerometers and gyros in each turn."""
+    ) -> IntegratedTurns:
+        """Integrate the turns of a session about parameters `values` (m,), and `changes` (K, n, 15) of the coefficients
+        in each turn."""
         accel, gyro, K = instrument.accel, instrument.gyro, instrument.all_coefficients(values).copy()
         assert gyro is not None
         K[: accel.size], K[accel.size :, PRODUCTS] = _compensable(accel, K[: accel.size]), 0.0
-        late, own = instrument.delay(values), own_axes(instrument)
+        late, axes = instrument.delay(values), own_axes(instrument)
 
         def compensation(K: Array) -> Compensation:
             of_accel, of_gyro = _compensation(accel, K[: accel.size]), _compensation(gyro, K[accel.size :])
@@ -90,10 +106,10 @@ class TurnsAbout:
 
         about, coefficients = compensation(K), K
         if changes is None:
-            moments = observations.moments_about(about, own)
+            moments = observations.moments_about(about, axes)
         else:
             coefficients = K + changes
-            moments = observations.moments_about(list(map(compensation, coefficients)), own)
+            moments = observations.moments_about(list(map(compensation, coefficients)), axes)
         lefts = about.gyro.left_inverse, about.accel.left_inverse
         turns = observations.turns
         assert turns is not None
@@ -102,21 +118,20 @@ class TurnsAbout:
             resting = specific_force(instrument, values, observations.rests.accel)
             turning = angular_rate(instrument, values, observations.rests.gyro, resting)
             ends = (resting[turns.first], resting[turns.last]), (turning[turns.first], turning[turns.last])
-        growing = observations.growing_moments_about(about) if warms(instrument) else None
-        about_turns = TurnsAbout.from_moments(moments, accel, (coefficients, late), lefts, ends, growing)
+        grows = any(group.variable == "temperature" for group in instrument.further)
+        growing = observations.growing_moments_about(about) if grows else None
+        out = IntegratedTurns.from_moments(moments, accel, (coefficients, late), lefts, ends, growing)
         if observations.links is not None:
             links = observations.links
-            of_parts = integrate(links.samples.pieces(), len(links.samples.lengths), about, own)
+            of_parts = integrate(links.samples.pieces(), len(links.samples.lengths), about, axes)
             at_ends = (links.forces[:, 0], links.forces[:, 1]), (links.rates[:, 0], links.rates[:, 1])
-            about_parts = TurnsAbout.from_moments(of_parts, accel, (K, late), lefts, at_ends)
-            about_turns = replace(about_turns, links=about_parts)
+            out = replace(out, links=IntegratedTurns.from_moments(of_parts, accel, (K, late), lefts, at_ends))
         if ends is None:
-            return about_turns
-        arrays = tuple(array_levers(each, instrument, values) for each in observations.arrays)
-        return replace(about_turns, arrays=arrays)
+            return out
+        return replace(out, arrays=tuple(array_levers(array, instrument, values) for array in observations.arrays))
 
     @staticmethod
-    @np.errstate(over="ignore", invalid="ignore")  # of turns of damaged samples, which are judged later
+    @np.errstate(over="ignore", invalid="ignore")  # by damaged samples, whose turns are judged later
     def from_moments(
         moments: Moments,
         accel: Block,
@@ -124,16 +139,28 @@ class TurnsAbout:
         lefts: tuple[Array, Array],
         ends: Ends | None,
         growing: tuple[Array, Array] | None = None,
-    ) -> TurnsAbout:
-        """Turns of these moments, integrated about coefficients and a delay, with the left inverses (3, n) of gyros and
-        accelerometers, and what is at rest at their `ends`, None where velocities are not predicted; `growing` are the
-        moments of what grows within the turns."""
-        own = moments.Phi_accel, moments.Phi_gyro, moments.Psi_gyro
-        return TurnsAbout(
+    ) -> IntegratedTurns:
+        """Return turns with these moments.
+
+        Parameters
+        ----------
+        moments, accel
+            Moments of the turns, and the block of accelerometers.
+        about
+            Coefficients and delay about which the turns were integrated.
+        lefts : ((3, n), (3, n))
+            Left inverses of gyros and of accelerometers.
+        ends
+            Forces and rates at both ends of the turns; None if velocities are not predicted.
+        growing
+            Moments of coefficients that grow within the turns.
+        """
+        along_axes = moments.Phi_accel, moments.Phi_gyro, moments.Psi_gyro
+        return IntegratedTurns(
             coefficients=about[0],
             lateness=about[1],
             moments=moments,
-            paths=_paths((moments.Phi, moments.Psi), lefts, own),
+            paths=_paths((moments.Phi, moments.Psi), lefts, along_axes),
             turn_only={} if ends is None else _turn_only_columns(moments, accel, about[0], lefts, ends),
             to_rate=lefts[0],
             growing=None if growing is None else _paths(growing, lefts),
@@ -145,10 +172,10 @@ class TurnsAbout:
         return self.moments.C
 
     def rotations(self, instrument: Instrument, values: Array, changes: Array | float = 0.0) -> Array:
-        """C at other values of the parameters, and with `changes` (K, n, 15) of the coefficients in each turn: to first
-        order in what both are apart from what the turns were integrated about."""
-        apart = instrument.all_coefficients(values) + changes - self.coefficients
-        phi = -(self.paths[:, :3] * np.expand_dims(apart, -3)).sum(axis=(2, 3))
+        """Return rotations C (K, 3, 3), to first order, at `values` of the parameters and `changes` (K, n, 15) of the
+        coefficients in each turn."""
+        offset = instrument.all_coefficients(values) + changes - self.coefficients
+        phi = -(self.paths[:, :3] * np.expand_dims(offset, -3)).sum(axis=(2, 3))
         return np.asarray(rotation_matrix(phi) @ self.C)
 
     @property
@@ -167,8 +194,9 @@ class TurnsAbout:
         return self.paths[:, 3:, -self.to_rate.shape[1] :]
 
     def rows(self, instrument: Instrument, values: Array, model: tuple[Array, Array], width: int) -> Array:
-        """[−∂φ/∂θ | φ] and [−∂V/∂θ | V] (K, 6, width + 1) at values of the parameters, for which the `model` is K and
-        ∂K/∂θ: to first order in their change. The columns between the parameters and the last are 0."""
+        """Return [−∂φ/∂θ | φ] above [−∂V/∂θ | V] (K, 6, width + 1) at `values`, to first order.
+
+        `model` is K and ∂K/∂θ there. Columns between those of the m parameters and the last are zero."""
         (K, D), m = model, len(values)
         out = np.zeros((len(self.paths), 6, width + 1))
         out[:, :, :m] = _times(self.paths, D)
@@ -178,14 +206,15 @@ class TurnsAbout:
         else:
             out[:, :, -1] = -np.einsum("kipb,kpb->ki", self.paths, change)
         out[:, 3:, -1] += self.moments.V
-        for motion, by in self.turn_only.items():
-            if (own := instrument.turn_only(motion)) is not None:
-                out[:, :, own] = by
-                out[:, :, -1] -= by @ (values[own] - (self.lateness if motion == "delay" else 0.0))
+        for motion, columns in self.turn_only.items():
+            if (members := instrument.turn_only(motion)) is not None:
+                out[:, :, members] = columns
+                out[:, :, -1] -= columns @ (values[members] - (self.lateness if motion == "delay" else 0.0))
         return out
 
     def in_body(self, gyros: int) -> Array:
-        """∫ β_pb dt (K, n, 15) in the body of the functions of the n gyros; 0 of sums that were not asked for."""
+        """Return ∫ β_pb dt (K, n, 15) of the functions of the n gyros, in the body; 0 for sums that were not
+        requested."""
         moments = self.moments
         out = np.zeros((len(moments), gyros, FUNCTIONS))
         out[..., : moments.body.shape[1]] = moments.body[:, None]
@@ -194,41 +223,43 @@ class TurnsAbout:
         return out
 
     def growing_columns(self, D: Array) -> Array | None:
-        """−∂φ/∂θ and −∂V/∂θ (K, 6, m) of parameters, with ∂K/∂θ, that grow by 1 a second about the middle of the
-        turns."""
+        """Return −∂φ/∂θ above −∂V/∂θ (K, 6, m) of parameters, with D = ∂K/∂θ, that grow by 1 per second about the
+        middle of the turns."""
         return None if self.growing is None else _times(self.growing, D)
 
     @cached_property
-    def _sizes(self) -> Array:
-        """How much the coefficients (K, n, 15) of the gyros turn the rotations."""
+    def _lengths(self) -> Array:
+        """Lengths (K, n, 15) of the derivatives of φ by the coefficients of the gyros."""
         return np.asarray(np.sqrt((self.by_phi**2).sum(axis=1)))
 
     def second_order(self, change: Array) -> tuple[Array, Array]:
-        """About how much (K,) rotation, rad, and velocity, m/s, err about a `change` (n, 15) or (K, n, 15) of the
-        coefficients of the gyros, being of first order."""
-        rotation = 0.5 * (self._sizes * np.abs(change)).sum(axis=(1, 2)) ** 2
+        """Return approximate second-order errors (K,) of rotation, rad, and velocity, m/s, for a `change` (n, 15) or
+        (K, n, 15) of the gyro coefficients."""
+        rotation = 0.5 * (self._lengths * np.abs(change)).sum(axis=(1, 2)) ** 2
         return rotation, G_STANDARD * self.moments.T * rotation
 
-    def since(self, instrument: Instrument, values: Array) -> Array:
-        """By how much the coefficients of the gyros at these values differ from those of the turns; not those of
-        products of forces, about which turns are not integrated: they are of first order wherever they are."""
+    def gyro_offset(self, instrument: Instrument, values: Array) -> Array:
+        """Return the gyro coefficients at `values` less those of the integration.
+
+        Products of forces, in which the turns are linear, are left out."""
         gyro = instrument.gyro
         assert gyro is not None
         out = np.asarray(instrument.coefficients(gyro, values) - self.coefficients[..., -gyro.size :, :])
         out[..., PRODUCTS] = 0.0
         return out
 
-    def good_for(
+    def valid_at(
         self, instrument: Instrument, values: Array, noise: tuple[Array, Array], changes: Array | float = 0.0
     ) -> bool:
-        """Whether first order does for other values, and `changes` (K, n, 15) of the coefficients of the gyros, beside
-        the noise (K,), rad and m/s, of the turns."""
-        rotation, velocity = self.second_order(self.since(instrument, values) + changes)
-        few = np.minimum(SECOND_ORDER, SECOND_ORDER_SHARE * noise[0])
-        return bool(np.all(rotation <= few) and np.all(velocity <= VELOCITY_SHARE * noise[1]))
+        """Return True if first order suffices at `values`, with `changes` (K, n, 15) of the gyro coefficients.
 
-    def small(self, changes: Array, noise: tuple[Array, Array]) -> bool:
-        """Whether first order does for changes (K, n, 15) of the coefficients of the gyros from turn to turn."""
+        `noise` are standard deviations (K,) of rotations, rad, and velocities, m/s."""
+        rotation, velocity = self.second_order(self.gyro_offset(instrument, values) + changes)
+        limit = np.minimum(SECOND_ORDER, SECOND_ORDER_SHARE * noise[0])
+        return bool(np.all(rotation <= limit) and np.all(velocity <= VELOCITY_SHARE * noise[1]))
+
+    def are_small(self, changes: Array, noise: tuple[Array, Array]) -> bool:
+        """Return True if first order suffices for `changes` (K, n, 15) of the gyro coefficients from turn to turn."""
         rotation, velocity = self.second_order(changes)
         return bool(np.all(rotation <= CHANGES_SHARE * noise[0]) and np.all(velocity <= CHANGES_SHARE * noise[1]))
 
@@ -236,17 +267,19 @@ class TurnsAbout:
 def _turn_only_columns(
     moments: Moments, accel: Block, coefficients: Array, lefts: tuple[Array, Array], ends: Ends
 ) -> dict[Motion, Array]:
-    """−∂φ above −∂V (K, 6, m) of what a turn alone sees of accelerometers that read (1 + k) a_p, so that
-    Σ s_p (1 + k) a_pᵀ = I, and which the gyros of these coefficients feel."""
-    (to_rate, to_force), (forces, rates), order = lefts, ends, _lever_order(accel)
+    """Return −∂φ above −∂V (K, 6, m) by lever arms and delays, with Σ s_p (1 + k) a_pᵀ = I of the accelerometers.
+
+    φ depends on them through the response of the gyros, with these coefficients, to specific force."""
+    (to_rate, to_force), (forces, rates) = lefts, ends
+    order = (3 * accel.channels[:-1, None] + np.arange(3)).ravel()  # of the named lever arms, among those by channel
     mean = coefficients.reshape(-1, *coefficients.shape[-2:]).mean(axis=0)
     a = to_force.shape[1]
-    sensed = mean[:a, FORCE]
+    rows = mean[:a, FORCE]
 
     def columns(left: Array) -> dict[Motion, Array]:
         return {
-            "lever": lever_columns(moments, left, sensed, rates)[:, :, order],
-            "single delay": single_delay_columns(moments, left, sensed, forces),
+            "lever": lever_columns(moments, left, rows, rates)[:, :, order],
+            "single delay": single_delay_columns(moments, left, rows, forces),
         }
 
     of_velocity, of_rotation = columns(to_force), columns(to_rate @ mean[a:, FORCE] @ to_force)
@@ -261,19 +294,14 @@ def _turn_only_columns(
 
 
 def _times(paths: Array, D: Array) -> Array:
-    """Σ paths · D (K, 6, m) over sensors and functions, of D (n, 15, m)."""
-    K, both = len(paths), D.shape[0] * D.shape[1]
-    return np.asarray(paths.reshape(6 * K, both) @ D.reshape(both, D.shape[2])).reshape(K, 6, D.shape[2])
-
-
-def warms(instrument: Instrument) -> bool:
-    """Whether parameters grow with the temperature within a turn."""
-    return any(group.variable == "temperature" for group in instrument.further)
+    """Return Σ paths · D (K, 6, m) over sensors and functions, with D (n, 15, m)."""
+    K, size = len(paths), D.shape[0] * D.shape[1]
+    return np.asarray(paths.reshape(6 * K, size) @ D.reshape(size, D.shape[2])).reshape(K, 6, D.shape[2])
 
 
 @lru_cache(maxsize=8)
 def own_axes(instrument: Instrument) -> OwnAxes:
-    """The axes whose own sums an instrument needs."""
+    """Return the axes along which the moments need sums of magnitudes and cubes."""
     used, gyro = instrument.used, instrument.gyro
     needed = {kind: bool(np.any(functions >= OWN_SIZE)) for kind, functions in used.items()}
     return OwnAxes(
@@ -283,52 +311,49 @@ def own_axes(instrument: Instrument) -> OwnAxes:
 
 
 def angles(moments: Moments) -> Array:
-    """Angles (K,) of the turns, rad, 0 … π."""
+    """Return the angles (K,) of the turns, rad, 0 … π."""
     return np.asarray(np.linalg.norm(rotation_vector(moments.C), axis=1))
 
 
 def _compensation(block: Block, K: Array) -> BlockCompensation:
-    """The compensation of a block with these coefficients."""
     measured = FORCE if block.kind == "accel" else RATE
     terms = np.array([_square(block, K), K[:, OWN_CUBE], K[:, OWN_SIZE]]).T
     return BlockCompensation.of(block.axes, SensorModel(matrix=K[:, measured], bias=K[:, CONSTANT]), terms)
 
 
 def _square(block: Block, K: Array) -> Array:
-    """The part (n,) along each axis of a quadratic form in f, aᵀ (…) a: K₂ where it is K₂ (aᵀf)²."""
+    """Return the quadratic form in f along each axis a, aᵀ (…) a (n,): K₂ if the form is K₂ (aᵀf)²."""
     return np.asarray((K[:, PRODUCTS] * _products(block)).sum(axis=1))
 
 
 @lru_cache(maxsize=16)
 def _products(block: Block) -> Array:
-    """The products (n, 6) of the components of the axes, in the order of PAIRS."""
+    """Return the products (n, 6) of the components of the axes, in the order of PAIRS."""
     return np.asarray(block.axes[:, _FIRST] * block.axes[:, _SECOND])
 
 
 def _compensable(block: Block, K: Array) -> Array:
-    """The coefficients that samples of accelerometers are compensated with: of the products of forces, the square along
-    each axis."""
+    """Return the coefficients for compensation of samples: of the products of forces only the square along each
+    axis."""
     out, square = K.copy(), _square(block, K)
     out[:, PRODUCTS] = np.where(_FIRST == _SECOND, 1.0, 2.0) * square[:, None] * _products(block)
     out[:, RATE] = 0.0
     return out
 
 
-def _paths(moments: tuple[Array, Array], lefts: tuple[Array, Array], own: tuple[Array, ...] = 3 * (NONE,)) -> Array:
-    """P above Q (K, 6, n, 15) of accelerometers and gyros: Σ_j M_ijb s_jp of Φ and Ψ (K, 3, 3, ·) of the first
-    functions, and the left inverses of gyros and accelerometers; and of the `own` sums (K, 3, 3, 2, ·) of their sizes
-    and cubes, Φ of accelerometers, Φ and Ψ of gyros, where there are any."""
+def _paths(
+    moments: tuple[Array, Array], lefts: tuple[Array, Array], along_axes: tuple[Array, ...] = 3 * (NONE,)
+) -> Array:
+    """Return P above Q (K, 6, n, 15): Σ_j M_ijb s_jp with M = Φ and Ψ (K, 3, 3, ·).
+
+    `along_axes` are sums (K, 3, 3, 2, ·) of magnitudes and cubes along the axes: Φ of accelerometers, Φ and Ψ of gyros;
+    empty if not needed."""
     (Phi, Psi), (to_rate, to_force) = moments, lefts
     a = to_force.shape[1]
     out = np.zeros((len(Phi), 6, a + to_rate.shape[1], FUNCTIONS))
     targets = (out[:, 3:, :a], Phi, to_force), (out[:, :3, a:], Phi, to_rate), (out[:, 3:, a:], Psi, to_rate)
-    for (by, M, left), sums in zip(targets, own, strict=True):
-        by[..., : M.shape[-1]] = left.T @ M
+    for (path, M, left), sums in zip(targets, along_axes, strict=True):
+        path[..., : M.shape[-1]] = left.T @ M
         if sums.size:
-            by[..., [OWN_SIZE, OWN_CUBE]] = np.einsum("kijfp,jp->kipf", sums, left)
+            path[..., [OWN_SIZE, OWN_CUBE]] = np.einsum("kijfp,jp->kipf", sums, left)
     return out
-
-
-def _lever_order(block: Block) -> IntArray:
-    """Where the lever arms of all sensors but the last stand, in the order of their names, among those by channel."""
-    return np.asarray((3 * block.channels[:-1, None] + np.arange(3)).ravel(), dtype=np.int64)
