@@ -58,7 +58,7 @@ NAMES = (
     (),
     (),
 )
-DOUBTS = ("would fit", "is unknown", "no turn", "is a guess, put", "told by their numbers")
+DOUBTS = ("would fit", "is unknown", "no turn", "is a guess, put", "identified by their numbers")
 
 
 @dataclass(kw_only=True)
@@ -178,7 +178,7 @@ def outcome(log: Path, folder: Path, truth: Truth, widths: Widths = WIDTHS) -> t
     if list(session.log.accel.columns) != truth.columns[0]:
         return ("refused" if faults else "silent"), "columns"
     if session.log.gyro is None or list(session.log.gyro.columns) != truth.columns[1]:
-        said = any("told by their numbers" in s for s in doubts)
+        said = any("identified by their numbers" in s for s in doubts)
         return ("refused" if faults else "said" if said else "silent"), "gyro columns"
     parts = []
     for kind, channels, worth in (

@@ -110,7 +110,7 @@ def test_turns_beyond_the_model_are_refused_where_they_are_aliased_too() -> None
     twice = replace(linearised, problem=problem).with_components(replace(linearised.components, aliased=2.0))
     refusals = (each.sentence for each in misfit(replace(estimate, linearised=twice)) if each.refuses)
     (said,) = [sentence for sentence in refusals if "where rates jump from sample to sample" in sentence]
-    assert "more than 30: something is there that the model does not have" in said
+    assert "more than 30: the model does not describe this" in said
     assert "u contains it" not in said
 
 

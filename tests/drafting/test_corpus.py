@@ -610,7 +610,7 @@ def test_what_a_still_body_leaves_open_is_said(log: pl.DataFrame, tmp_path: Path
     draft, _ = new_session(tmp_path / "session", tmp_path / q.biased_gyros_first(log, tmp_path))
     assert draft.content["log"]["accel"]["columns"] == ["5", "6", "7"]
     assert draft.content["log"]["accel"]["scale"] == 16384.0
-    assert any("told by their numbers, and others would fit too" in doubt for doubt in draft.doubts)
+    assert any("identified by their numbers, and others would fit too" in doubt for doubt in draft.doubts)
     assert "accelerometers 0.1077, -0.1724, 9.641 m/s² (5: 180, 6: -288, 7: 16107)" in draft.remarks[-1]
 
 

@@ -491,4 +491,4 @@ def test_counts_without_a_time_are_said_with_the_rates_that_would_fit_too(
     assert any("rate_hz" in said and "from the turns" in said for said in draft.remarks)
     found = draft.log[GYRO]["scale"] * draft.log["rate_hz"]
     assert found == pytest.approx(131.0 * 50.0, rel=0.06)
-    assert any("would fit too: the gyros' scale factors hang on it" in doubt for doubt in draft.doubts)
+    assert any("would fit too: the gyros' scale factors depend on it" in doubt for doubt in draft.doubts)

@@ -156,7 +156,7 @@ def test_the_linear_methods_state_what_they_leave_out(tmp_path: Path) -> None:
         assert not any("samples" in said for said in found.outcome.remarks)
         assert all(abs(p.value - truth[p.name]) < 4.0 * (p.u or 0.0) for p in found.parameters)
         assert not any(p.value for p in found.parameters if beyond_linear(p.name))
-        assert any("as nothing and has its usual size in u" in note for note in found.provenance.notes)
+        assert any("as zero and includes their usual size in u" in note for note in found.provenance.notes)
         assert any(source.name == "prior.accel.quadratic" for source in found.evidence.budget)
         assert all(source.u is not None for source in found.evidence.budget if "scatter" in source.name)
 

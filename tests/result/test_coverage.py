@@ -222,7 +222,7 @@ def test_a_report_says_what_u_covers() -> None:
     hidden = Fit(chi_square=3.0, degrees=3.0, scatter=0.0, unit="m/s^2")
     said = reported(of_groups(accelerometers=hidden))
     assert said.count("no scatter of the accelerometers was detected, with 3 degrees of freedom to show one") == 1
-    assert "may be there unseen" not in reported(of_groups(accelerometers=scattered(5.0)))
+    assert "may be undetected" not in reported(of_groups(accelerometers=scattered(5.0)))
     assert "which covers 95.45 %: k = 2 where u is known" in said
 
 

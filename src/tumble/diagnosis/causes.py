@@ -142,7 +142,7 @@ def _beside_the_likeliest(found: list[tuple[Cause, IntArray]], projection: Proje
         )
         if min(beside, reversed_) > FALSE_ALARMS:
             by_group = {name: max(size, cause.by_group[name]) for name, size in best.by_group.items()}
-            sentence = f"{best.sentence}; or, which the session does not tell apart: {cause.sentence}"
+            sentence = f"{best.sentence}; or, indistinguishable in this session: {cause.sentence}"
             best = replace(best, sentence=sentence, by_group=by_group, rivals=(*best.rivals, cause.name))
         others.append(replace(cause, p_value=max(cause.p_value, beside)))
     return [best, *others]

@@ -39,7 +39,7 @@ def in_motion(estimate: Estimate, observations: Observations, missing: tuple[str
         return
     if missing:
         named = ", ".join(missing[:MOST_NAMED]) + (" and others" if len(missing) > MOST_NAMED else "")
-        yield refusal(f"{sentence} say too little of {named}; {advice}", *missing)
+        yield refusal(f"{sentence} do not determine {named} well enough; {advice}", *missing)
     support, displacement = linearised.point.local[0, -SUPPORT_COLUMNS:], float(linearised.components.displacement)
     if scipy.special.chdtrc(SUPPORT_COLUMNS, float((support**2).sum()) / SUPPORT_U**2) < FALSE_ALARMS:
         yield refusal(

@@ -68,7 +68,7 @@ def with_common_tilt(estimate: Estimate, observations: Observations) -> Estimate
         remark = (
             f"accelerometer {sensor} reads {g * abs(mean) / size:.3g} {unit} beside its bias on all faces on which it "
             f"is level: the device leans by {abs(mean) / DEGREE:.2g}° on each of them alike, or {sensor} is not "
-            "linear, which faces do not tell apart; u has both, and oblique positions, such as edges, would tell"
+            "linear, indistinguishable on faces; u includes both, and oblique positions, such as edges, would show it"
         )
         if budget is not None:
             budget = budget.with_source(source("tilt", abs(mean), "rad"), np.outer(error, error))

@@ -274,6 +274,6 @@ def omitted_groups_note(estimate: Estimate) -> tuple[str, ...]:
         return ()
     method = f"method {estimate.method}" + (" with linear terms" if estimate.method == "joint" else "")
     return (
-        f"the {method} takes what is not bias, scale or axis angle as nothing and has its usual size in u; the method "
-        "joint with all terms finds what the session shows of it",
+        f"the {method} takes errors other than bias, scale factor and axis angles as zero and includes their usual "
+        "size in u; the method joint with all terms estimates them",
     )

@@ -146,7 +146,7 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     findings += [finding for found in by_session[MOST_SESSIONS:] for finding in found if finding.refuses]
     if len(by_session) > MOST_SESSIONS:
         findings.append(
-            remark(f"{len(by_session) - MOST_SESSIONS} more sessions scatter: calibrate them one by one to see by what")
+            remark(f"{len(by_session) - MOST_SESSIONS} more sessions scatter: calibrate them one by one to see why")
         )
     findings += [*_unusual_groups(estimate), *varying]
     if estimate.method == "joint":
@@ -255,7 +255,7 @@ def _session_findings(
             # what makes turns scatter, and gyros at rest much less, is random itself: nothing systematic need fit it
             sentence = "a device that moved after it was put down, or before it was taken up: wait until it lies still"
             named.append(Cause(name="movement", concerns=("gyro",), p_value=1.0, sentence=sentence))
-            sentence = "or samples that are missing or held in the log, which these turns do not tell from movement: "
+            sentence = "or samples that are missing or held in the log, which in these turns look like movement: "
             sentence += stamps_remedy(observations)
             named += (replace(cause, sentence=sentence) for cause in likely if cause.name == "lost samples")
         named += (cause for cause in likely if cause.p_value < CAUSE_P_VALUE)
@@ -290,8 +290,8 @@ def _erratic_biases(linearised: Linearisation) -> Iterator[Finding]:
         if change > max(MODEL_FAILURE_RATIO * noise, NEGLIGIBLE_SCATTER[kind]):
             yield refusal(
                 f"biases of the {SENSORS[kind]} change by {with_unit(change, BIAS_UNITS[kind])} from one rest to the "
-                f"next, {change / noise:.2g} times the noise of a rest: something is there that the model does not "
-                "have; look at the rests with `tumble inspect`",
+                f"next, {change / noise:.2g} times the noise of a rest: the model does not describe this; look at the "
+                "rests with `tumble inspect`",
                 *(kind, *(TURN_GROUPS if kind == "accel" else ())),
             )
 
@@ -322,7 +322,7 @@ def _scatter_sentence(group: ResidualGroup, ratio: float, linearised: Linearisat
         return f"the {group.words} are further from the fit than their noise explains"
     sentence = f"the {group.words} scatter by {with_unit(scatter, group.unit)}, {ratio:.2g} times their noise"
     if exceeds:
-        sentence += f", more than {MODEL_FAILURE_RATIO:.0f}: something is there that the model does not have"
+        sentence += f", more than {MODEL_FAILURE_RATIO:.0f}: the model does not describe this"
         if group.name not in REST_SCATTER:
             sentence += f"; look for lost or held samples{jitter_hint(observations)}"
     sentence += f"; and {jumps}: turn smoothly, or sample faster" if jumps else ""
@@ -344,8 +344,8 @@ def _unusual_groups(estimate: Estimate) -> Iterator[Finding]:
             by_kind.setdefault(group.kind, {})[group.name] = words
     for kind, groups in by_kind.items():
         sentence = (
-            f"larger than usual: {', '.join(groups.values())}{IN_U}; state sizes in [device.prior], or "
-            "another grade, where the device is so, and look for disturbances of the log where it is not"
+            f"larger than usual: {', '.join(groups.values())}{IN_U}; if the device is like that, state sizes in "
+            "[device.prior] or another grade; otherwise look for disturbances in the log"
         )
         yield Finding(sentence=sentence, concerns=(kind,), causes=tuple(groups))
 
@@ -376,7 +376,7 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
             if is_unusual(by_name.get(name)):
                 changed = with_unit(longest * largest_drift(name), drift_unit)
                 sentence = (
-                    f"{parameters} drift by {changed} over the session, those given are the means of its "
+                    f"{parameters} drift by {changed} over the session, the values given are means over its "
                     f"rests{IN_U}; let the device warm up, or make the session shorter"
                 )
                 yield Finding(sentence=sentence, concerns=(f"{kind}.{what}",), causes=(cause,))
@@ -390,7 +390,7 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
             )
             lasting = time.value > longest
             if lasting:
-                sentence += ", and last longer than it: a drift, or warm-up after power-on; switch on earlier"
+                sentence += ", and last longer than the session: a drift, or warm-up after power-on; switch on earlier"
             cause = "drift" if lasting else "in-run bias"
             yield Finding(sentence=f"{sentence}{IN_U}", concerns=bias, causes=(cause,))
         for sensor in block.sensors:

@@ -71,8 +71,8 @@ def faces_alone(estimate: Estimate, missing: Sequence[str]) -> bool:
 def six_faces(estimate: Estimate, observations: Observations, missing: Sequence[str]) -> Finding:
     """Return the remark on a session of accelerometers without oblique rests."""
     sentence = (
-        "bias and scale factor of each axis alone, as six faces give them: not observable in this session and taken "
-        f"as 0 is {parameter_list(missing)}, of which u contains any usual size"
+        "six faces give bias and scale factor of each axis alone: not observable in this session and taken as 0 is "
+        f"{parameter_list(missing)}, whose usual size u includes"
     )
     return remark(_joined(sentence, _most_helpful(estimate, observations, estimate.null)), "accel")
 
@@ -85,7 +85,7 @@ def one_attitude(observations: Observations) -> str:
     counted = "1 rest" if N == 1 else f"all {N} rests"
     return (
         f"the device lay in one attitude ({counted}), which calibrates nothing: put it down in others too, 5 s in "
-        "each (`tumble programme` lists them); the noise of a recording at rest is told by `tumble noise`"
+        "each (`tumble programme` lists them); `tumble noise` gives the noise of a recording at rest"
     )
 
 
@@ -164,9 +164,9 @@ def uncertain_gravity(site: Site) -> Iterator[Finding]:
     if np.sqrt(3.0) * relative < POORLY_KNOWN * group_of("accel.scale").limit:
         return
     yield remark(
-        f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: all scale "
-        f"factors of the accelerometers together are known to {100.0 * relative:.2g} % only, which u contains; state "
-        "latitude_deg and height_m in [site] (--latitude, --height), or gravity",
+        f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: the common "
+        f"scale of the accelerometers is known to {100.0 * relative:.2g} % only, which u includes; state latitude_deg "
+        "and height_m in [site] (--latitude, --height), or gravity",
         "accel.scale",
     )
 

@@ -76,9 +76,7 @@ def verdict(
     findings += _residual_findings(estimate, missing, search)
     if estimate.integral is not None and is_poorly_sampled(estimate.integral):
         findings.append(
-            remark(
-                "u rests on a few points of the integral over what the model does not know of itself: it is a rough one"
-            )
+            remark("u is rough: few points count in the integral over scatter, in-run biases and sizes of groups")
         )
     order = ((), ("accel",), ("gyro",))
     refusals = sorted((finding for finding in findings if finding.refuses), key=lambda each: order.index(each.kinds))
@@ -166,7 +164,7 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Fin
 
     def misses(sigmas: float, left_out: bool, by: str = "") -> str:
         if left_out:
-            return f" was left out{by}: {sigmas:.1f} sigma from what the others say"
+            return f" was left out{by}: {sigmas:.1f} sigma from what the others predict"
         return f" does not fit{by}: {sigmas:.1f} sigma"
 
     for i in np.flatnonzero((estimate.rest_sigmas > FIT_SIGMAS) | accel | gyro):
@@ -292,6 +290,6 @@ def doubtful_time_base(estimate: Estimate, usual: float) -> tuple[str, ...]:
         return ()
     return (
         f"the scale factors of the gyros err alike, by {100.0 * mean:+.2g} %, and differ by {100.0 * spread:.2g} %: "
-        "the sample rate or the time stamps are wrong by as much, or the nominal scale of the gyros is, which the "
-        "session does not tell apart; measure the rate by a clock",
+        "the sample rate or the time stamps are wrong by as much, or the nominal scale of the gyros is, "
+        "indistinguishable in this session; measure the rate by a clock",
     )

@@ -180,7 +180,10 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
     remarks = guess_remarks(by_data, named.triads)
     if accel:
         return log.with_columns(remarks, triads={**triads, **named.triads})
-    doubt = "columns are told by their numbers, and others would fit too: all values hang on it; state --accel, --gyro"
+    doubt = (
+        "columns were identified by their numbers, and others would fit too: all values depend on this; state --accel, "
+        "--gyro"
+    )
     log = replace(log, doubts=(doubt,)) if by_data.ambiguous else log
     return log.with_columns(
         remarks, triads={**triads, **named.triads}, time=named.time or by_data.time, others=(), times=()

@@ -109,7 +109,7 @@ def _doubts_of_units(
             )
         elif others and draft.unit(kind) is None:
             yield (
-                f"{sensors} in {scale.label} by a guess, {others} would fit too: all their values hang on it; state "
+                f"{sensors} in {scale.label} by a guess, {others} would fit too: all their values depend on it; state "
                 f"--{kind}-unit"
             )
     rates = [h.times.rate for h in rivals if "time" in h.differs(best)]

@@ -286,7 +286,7 @@ def _contradicted_rate(log: ForeignLog, rate: float) -> Iterator[str]:
     if all(abs(shown - rate) > _RATE_TOLERANCE * rate for shown in rates):
         yield (
             f"--sample-rate {rate:g} is taken as stated, but the times in {stamps.column!r} show {rates[0]:.4g} per "
-            "second: the gyros' scale factors hang on it; leave --sample-rate out if the times are right"
+            "second: the gyros' scale factors depend on it; leave --sample-rate out if the times are right"
         )
 
 

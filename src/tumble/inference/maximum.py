@@ -240,7 +240,7 @@ def maximise_phi(
         step[free] = np.linalg.solve(B[np.ix_(free, free)], gradient[free])
         gain = 0.5 * float(gradient @ step)
         if not np.isfinite(gain):
-            raise np.linalg.LinAlgError("a step over what the model does not know of itself is not finite")
+            raise np.linalg.LinAlgError("a step of the hyperparameters is not finite")
         if gain < enough and (exact or not negligible(solution)):
             break
         if gain < enough:  # settled by the updated B: confirm with the average information

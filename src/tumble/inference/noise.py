@@ -36,12 +36,12 @@ SCATTER_WORDS = {
     "gyro": ("rad/s", "readings of the gyros at rest"),
     "turn": ("rad", "rotations of the turns"),
     "velocity": ("m/s", "velocities of the turns"),
-    "apart": ("rad", "what spare gyros say of the turns"),
+    "apart": ("rad", "readings of the redundant gyros in turns"),
     "jumps": ("1", "velocities over jumps between samples"),
     "aliased": ("1", "rotations over jumps between samples"),
-    "aliased_apart": ("1", "what spare gyros say over jumps between samples"),
-    "link_gyro": ("1", "noise of the gyros in motion, over that of its quiet parts"),
-    "link_accel": ("1", "noise of the accelerometers in motion, over that of its quiet parts"),
+    "aliased_apart": ("1", "readings of the redundant gyros over jumps between samples"),
+    "link_gyro": ("1", "noise of the gyros in motion, relative to quiet parts"),
+    "link_accel": ("1", "noise of the accelerometers in motion, relative to quiet parts"),
     "mag": ("", "readings of the magnetometer, in its unit"),
 }
 SCATTER = tuple(SCATTER_WORDS)  # components of variance, independent between rests and between turns

@@ -142,9 +142,9 @@ def tolerance_factor(n: int) -> float:
 
 _MEANING = (
     "Min, typical (mean) and max of the units by their own recordings; s is the standard deviation between them, of "
-    "which u is what the recordings do not know; run to run is what a unit changes by from power-on to power-on. The "
-    "tolerance interval contains 95 % of all units of the type with 95 % confidence, where they are normally "
-    "distributed (ISO 16269-6). Terms by IEEE Std 2700 and 952."
+    "which u is the part due to the uncertainty of the recordings; run to run is the change of a unit from power-on "
+    "to power-on. The tolerance interval contains 95 % of all units of the type with 95 % confidence, where they are "
+    "normally distributed (ISO 16269-6). Terms by IEEE Std 2700 and 952."
 )
 
 

@@ -53,8 +53,8 @@ def ellipsoid(observations: Observations, *, intervals: bool = True) -> Estimate
     block, rests, site = observations.accel_block, observations.rests, observations.site
     if block.size != 3:
         raise InputError(
-            f"method ellipsoid: expected three accelerometers, found {block.size}; take the method joint, which also "
-            "uses what they say of each other"
+            f"method ellipsoid: expected three accelerometers, found {block.size}; take the method joint, which uses "
+            "any number"
         )
     fit = fit_ellipsoid(
         rests.accel,

@@ -166,6 +166,6 @@ def notes_without_expanded(parameters: Sequence[Parameter]) -> Iterator[str]:
     if few:
         named = ", ".join(few) if len(few) <= MOST_NAMED else f"{len(few)} parameters, first {next(iter(few))}"
         yield (
-            f"no U is stated of {named}: {min(few.values()):.1g} degrees of freedom stand behind u, fewer than one; "
-            "more rests or turns would give them"
+            f"no U is stated for {named}: u has {min(few.values()):.1g} degrees of freedom, fewer than one; record "
+            "more rests or turns"
         )

@@ -242,6 +242,6 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
             sentences.append(
                 f"no scatter of the {sensors} was detected, with {degrees:.2g} degrees of freedom to show one: U "
                 f"covers the noise within rests and turns; a scatter of up to {largest:.2g} times that noise may be "
-                "there unseen"
+                "undetected"
             )
     return tuple(sentences)

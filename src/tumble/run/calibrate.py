@@ -178,7 +178,7 @@ def calibrate(
         outcome = Outcome(reasons=(str(error),))
     note = f"with what was left out: {': '.join(filter(None, [outcome.verdict, '; '.join(outcome.reasons)]))}"
     by_choice = tuple(kind for kind in accepted_kinds(calibration) if not outcome.of(kind))
-    remark = f"accepted without what was left out only, a choice of which u contains nothing; {note}"
+    remark = f"accepted only without what was left out, and u does not include the effect of this choice; {note}"
     return _with(calibration, remarks={remark: by_choice}) if by_choice else _with(calibration, notes=(note,))
 
 
@@ -302,7 +302,7 @@ def with_grade(session: Session, observations: Observations) -> Observations:
     grade, guessed_from = grade_of(session, observations)
     sheet, noise = session.device.prior, grade_named(grade).noise
     sizes = prior_sizes(grade, sheet)
-    note = f"what is not bias, scale or axis angle is taken to be of the size usual for the grade {grade}"
+    note = f"errors other than bias, scale factor and axis angles have the size usual for the grade {grade}"
     origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
     basis = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
     return replace(
@@ -391,18 +391,18 @@ def assumptions(session: Session) -> tuple[str, ...]:
     mm = f"{1e3 * site.gravity_u:.2g} mm/s²"
     if site.assumed == "height":
         sentences.append(
-            f"the height is not stated: gravity is that of sea level to {mm}, as of 1300 m, which is in the u of "
+            f"the height is not stated: gravity is that of sea level, with {mm} for heights of 1300 m in u of "
             "accel.scale; state height_m in [site] (--height), or gravity"
         )
     elif site.assumed == "digits" and site.gravity_u:
         sentences.append(
-            f"gravity is taken to its last digit, {mm}, which is in the u of accel.scale; state gravity_u in [site]"
+            f"gravity is taken to its last digit, with {mm} in u of accel.scale; state gravity_u in [site]"
         )
     if log.clock_u is None and by_clock:
-        clock = "stamps of a crystal" if log.rate is None else "a sample rate without time stamps"
+        clock = "time stamps of a crystal" if log.rate is None else "a sample rate without time stamps"
         size = f"{1e6 * log.time_base_u:.0f} ppm" if log.rate is None else f"{1e2 * log.time_base_u:.0f} %"
         sentences.append(
-            f"no uncertainty of the time base is stated: {size}, as of {clock}, is in the u of "
+            f"the uncertainty of the time base is not stated: {size}, usual for {clock}, is in u of "
             f"{' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact"
         )
     sentences += [f"doubt: {log.doubt}"] if log.doubt else []

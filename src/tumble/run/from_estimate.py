@@ -372,31 +372,31 @@ def temperature_notes(estimate: Estimate, observations: Observations) -> Iterato
     if not over_a_range(observations):
         yield (
             f"temperatures span {np.ptp(kelvin):.1f} K, less than {OVER_TEMPERATURE:.0f}: coefficients over "
-            "temperature are mostly what is usual; take sessions at temperatures further apart"
+            "temperature come mostly from their priors; take sessions at temperatures further apart"
         )
         return
     thermal = [group for group in estimate.groups if variable_of(group.name) in THERMAL]
     unseen = [group.name for group in thermal if not group.kept]
     if at_two_temperatures(observations):
         yield (
-            "coefficients t2 are what is usual, which is in the u of biases and scale factors at the reference "
+            "coefficients t2 come from their priors, which are in u of biases and scale factors at the reference "
             "temperature: two temperatures show slopes and no curvature; take a third between them"
         )
     elif unseen:
-        yield f"nothing is seen of {', '.join(unseen)}: turn at more temperatures, each axis up and down"
+        yield f"not determined: {', '.join(unseen)}; turn at more temperatures, each axis up and down"
     if turns is not None and (turns.duration > 0.0).any():  # only turns show scale factors of gyros
         is_turn = turns.duration > 0.0
         turned = kelvin[np.concatenate([turns.first[is_turn], turns.last[is_turn]])]
         if np.ptp(turned) < 0.5 * np.ptp(kelvin):
             yield (
-                f"turns span {span(turned)} only: how scale factors change beyond that is what is usual; turn at the "
-                "other temperatures too"
+                f"turns span {span(turned)} only: beyond that the change of scale factors comes from its prior; turn "
+                "at the other temperatures too"
             )
     lags = [float(estimate.u[estimate.names.index(name)]) for name in LAGS if name in estimate.names]
     if lags and not ramps_up_and_down(observations):
         yield (
-            f"the temperature was not passed both ways: lags behind the thermometer are known to {max(lags):.0f} s "
-            "only, and hysteresis not at all, which is in u by its usual size; ramp up and down in one recording"
+            f"the temperature only rose or only fell: lags behind the thermometer are known to {max(lags):.0f} s "
+            "only, and hysteresis, not determined, is in u with its usual size; ramp up and down in one recording"
         )
 
 
@@ -416,9 +416,9 @@ def _lag_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
         if np.any(by_lag[bias] > 0.5 * estimate.u[bias] ** 2):
             u = float(estimate.u[estimate.names.index(name)])
             yield (
-                f"how far the {sensors} are behind their thermometer is known to {u:.0f} s only, which is most of the "
-                f"u of {kind}.bias; let the device warm up before, ramp up and down in one recording, or state "
-                f"{kind}_lag in [device.prior]"
+                f"the lag of the {sensors} behind their thermometer is known to {u:.0f} s only, which is most of u of "
+                f"{kind}.bias; let the device warm up before, ramp up and down in one recording, or state {kind}_lag "
+                "in [device.prior]"
             )
         elif np.all(np.abs(estimate.values[slopes]) < SIGNIFICANT_SLOPE * estimate.u[slopes]):
-            yield f"the {sensors} are not seen to change with temperature, over {np.ptp(kelvin):.1f} K"
+            yield f"no change of the {sensors} with temperature is significant over {np.ptp(kelvin):.1f} K"

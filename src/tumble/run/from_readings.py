@@ -279,8 +279,8 @@ def _estimated(
     ]
     sizes = f"usual for the grade {grade}" if grade is not None else "usual for any grade (--grade states one)"
     note = (
-        f"quadratic and cubic terms and asymmetry and drift of the sizes {sizes} are in u, as far as the residuals "
-        "allow for them; the values take them as nothing, and --terms linear leaves them out"
+        f"quadratic and cubic terms and asymmetry and drift of the sizes {sizes} are in u as far as the residuals "
+        "allow; the values take them as zero, and --terms linear leaves them out of u"
     )
     is_outlier = ~fit.used
     is_outlier[list(fit.doubtful)] = True
@@ -319,7 +319,7 @@ def _by_faces(
     except np.linalg.LinAlgError:
         return None
     rows = "" if table.covariance is None else " and the scatter within positions"
-    note = f"nothing checks the readings: u has their last digit{rows}, and what is usual for the grade {chosen}"
+    note = f"nothing checks the readings: u includes their last digit{rows}, and the usual sizes for the grade {chosen}"
     return estimate, verdict(estimate, observations), (note,)
 
 
@@ -338,7 +338,7 @@ def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Itera
             f"residual {fit.residual[i] / size:+.3g} {unit}; it was left out"
         )
     if fit.doubtful and fit.worst is not None:
-        several = "; these positions do not tell which, so that none was left out" if len(fit.doubtful) > 1 else ""
+        several = "; which of them is wrong cannot be told, so none was left out" if len(fit.doubtful) > 1 else ""
         yield f"position {_named(table, sorted(fit.doubtful))} does not fit: {fit.worst.sigmas:.1f} sigma{several}"
     if fit.scatter > _limit(table, fit) * nominal.gravity:
         yield _scatter(table, nominal, fit)
@@ -352,8 +352,9 @@ def _remarks(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Itera
         yield f"{_scatter(table, nominal, fit)}; u has it"
     if len(table.values) >= RECORDING_ROWS and table.rows == 1:
         yield (
-            f"{len(table.values)} rows count as positions at rest: of a recording neighbours err alike, and a device "
-            "that is moved reads its own motion, of which u has nothing; take a log with `tumble calibrate`"
+            f"{len(table.values)} rows count as positions at rest: neighbouring rows of a recording have common "
+            "errors, and a moving device reads its own motion, which u does not include; take a log with `tumble "
+            "calibrate`"
         )
 
 
@@ -403,8 +404,8 @@ def _notes(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit | None) -> 
     u = nominal.gravity_u
     if u is None:
         yield (
-            "gravity is not stated: g at the place of the readings is the unit, for which 9.80665 m/s^2 stands; u has "
-            "no part of it, which may be 0.3 %. For values in m/s^2 give --gravity and --gravity-u"
+            "gravity is not stated: the unit is g at the place of the readings, printed as 9.80665 m/s^2; u does not "
+            "include the difference, up to 0.3 %. For values in m/s^2 give --gravity and --gravity-u"
         )
     elif u == 0.0:
         yield "gravity is taken as exact, as --gravity-u states"
@@ -416,8 +417,8 @@ def _notes(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit | None) -> 
         yield f"no nominal scale was stated: {per} {nominal.unit}/{nominal.per} was taken from the readings{also}"
     if nominal.assumed:
         yield (
-            f"polarity of {', '.join(nominal.assumed)}: taken as positive, since the readings do not tell it; state it "
-            "with --scale or --position"
+            f"polarity of {', '.join(nominal.assumed)}: taken as positive, since the readings do not show it; state "
+            "it with --scale or --position"
         )
     negative = [name for name, s in zip(table.columns, nominal.scale, strict=True) if s < 0.0]
     if negative:

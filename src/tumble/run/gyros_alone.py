@@ -110,8 +110,8 @@ def calibrate_gyros(rests: GyroRests) -> Calibration:
     session, N = rests.session, len(rests.mean)
     if not session.log.accel.scale_stated:
         raise InputError(
-            f"{session.device.serial}: expected the unit of the gyros, found none, and nothing tells it without "
-            "accelerometers; state --gyro-unit deg/s or another; `tumble noise` tells the noise of counts as it is"
+            f"{session.device.serial}: expected the unit of the gyros, found none, and it cannot be guessed without "
+            "accelerometers; state --gyro-unit deg/s or another; `tumble noise` gives the noise in counts"
         )
     block = replace(session.accel_block, kind="gyro")
     seconds = np.array([rest.stop - rest.start for rest in rests.segmentation.rests])
@@ -150,8 +150,8 @@ def calibrate_gyros(rests: GyroRests) -> Calibration:
             absent=(absent,),
             assumptions=(
                 f"{absent}; to have them {WHAT_TO_RECORD}",
-                "the directions of the Earth's rate and of gravity are not known: either, gravity by the g-sensitivity "
-                f"that is usual for the grade {grade}, is in the u of gyro.bias",
+                "the directions of the Earth's rate and of gravity are not known: u of gyro.bias includes both, "
+                f"gravity by the g-sensitivity usual for the grade {grade}",
                 *([f"doubt: {session.log.doubt}"] if session.log.doubt else []),
             ),
         ),

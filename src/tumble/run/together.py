@@ -142,10 +142,9 @@ def calibrate_together(
             notes=(
                 *calibration.provenance.notes,
                 *(
-                    f"{member.session}: nothing is turned"
-                    f"{f', taken in {member.rests} parts' if member.rests > 1 else ''}: it says how the biases that "
-                    "gravity and the Earth's rate show in this position change with temperature, and of scale factors "
-                    "nothing"
+                    f"{member.session}: nothing is "
+                    f"turned{f', taken in {member.rests} parts' if member.rests > 1 else ''}: it shows how biases in "
+                    "this position change with temperature, but not scale factors"
                     for member in members
                     if not member.turns
                 ),

@@ -391,13 +391,13 @@ def _notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
             yield f"the {sensors} are {estimate.values[i]:z.0f} s behind their thermometer, u {estimate.u[i]:.0f} s"
     if not any(variable_of(name) == "hysteresis" for name in estimate.names):
         yield (
-            "the temperature went one way: a hysteresis is not seen, and in no u; let the device warm and cool in one "
-            "recording"
+            "the temperature only rose or only fell: hysteresis is not determined, and not in u; let the device warm "
+            "and cool in one recording"
         )
     if one_direction(observations.rests.accel):
         yield (
-            "one attitude does not tell a change of the scale factor of an accelerometer from one of its bias: what is "
-            "given is right in this attitude, and u holds what is usual for others; record another attitude too"
+            "in one attitude a change of the scale factor of an accelerometer looks like one of its bias: the result "
+            "is right in this attitude, and u includes the usual difference in others; record another attitude too"
         )
 
 
@@ -405,11 +405,11 @@ def _assumptions(observations: Observations, base: Calibration | None) -> Iterat
     span = float(np.ptp(_kelvin(observations), axis=0).max())
     if span < WIDE:
         yield (
-            f"the temperatures span {span:.1f} K, less than {WIDE:.0f}: curvatures are what is usual, and beyond these "
-            "temperatures this says little; warm or cool the device through those of its use"
+            f"the temperatures span {span:.1f} K, less than {WIDE:.0f}: curvatures come from their priors, and beyond "
+            "these temperatures the result is hardly valid; warm or cool the device through those of its use"
         )
     if base is not None and base.reference_temperature is None:
         yield (
-            f"the calibration of {base.serial} does not say at which temperature it was made: any of this recording is "
-            "taken, which is in the u of its biases; calibrate a recording with its thermometer"
+            f"the calibration of {base.serial} does not state its temperature: any of this recording is assumed, "
+            "which is in u of its biases; calibrate a recording with its thermometer"
         )
