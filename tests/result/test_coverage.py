@@ -103,7 +103,7 @@ def test_no_expanded_uncertainty_is_stated_with_less_than_one_degree_of_freedom(
     assert few.dof == 0.24
     assert expanded(known)
     said = next(each for each in remarks(made) if "no U is stated" in each)
-    assert "no U is stated of 9 parameters, first accel.bias.x: 0.2 degrees of freedom stand behind u" in said
+    assert "no U is stated for 9 parameters, first accel.bias.x: u has 0.2 degrees of freedom" in said
     assert with_expanded(few, 1.0)[1] == ""
     certificate = certified(made)
     stated = certificate.findtext(".//dcc:quantity[@id='accel.bias.x']//si:valueStandardMU", "", NAMESPACES)

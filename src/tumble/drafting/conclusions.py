@@ -117,8 +117,8 @@ def _doubts_of_units(
         how = "by the turns" if best.profile is not None else "by a guess"
         others = ", ".join(f"{rate:g}" for rate in list(dict.fromkeys(rates))[:_MOST_RATES])
         also = f", {others} would fit too" if rates else ""
-        hang = "the gyros' scale factors hang" if best.gyro is not None else "how long rests are hangs"
-        yield f"{best.times.rate:g} samples per second {how}{also}: {hang} on it; state --sample-rate"
+        follows = "the gyros' scale factors depend" if best.gyro is not None else "the length of rests depends"
+        yield f"{best.times.rate:g} samples per second {how}{also}: {follows} on it; state --sample-rate"
 
 
 def _time_remarks(draft: Draft, best: Hypothesis) -> list[str]:
