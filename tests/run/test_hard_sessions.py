@@ -300,7 +300,7 @@ def test_six_faces_give_bias_and_scale_of_each_axis_and_say_what_is_absent(tmp_p
     made = tumble.calibrate(session_of_arrays(accel=accel, time=time, **SITE))  # type: ignore[arg-type]
     assert [p.name for p in made.parameters] == list(true)
     assert made.outcome.verdict == "accepted with scatter"
-    assert "as six faces give them" in made.outcome.remarks[0]
+    assert "six faces give bias and scale factor of each axis alone" in made.outcome.remarks[0]
     assert made.outcome.unobservable == ("accel.axis.yx", "accel.axis.zx", "accel.axis.zy")
     z = [(p.value - true[p.name]) / (p.u or np.nan) for p in made.parameters]
     assert np.abs(z).max() < 3.0

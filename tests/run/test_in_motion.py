@@ -102,7 +102,7 @@ def test_little_motion_is_refused_with_what_would_help() -> None:
     assert not outcome.accepted
     assert "calibrated in motion" not in shown
     assert "rests and turns that were found" not in shown
-    assert "30 s of motion say too little of accel.bias" in outcome.reasons[0]
+    assert "30 s of motion do not determine accel.bias" in outcome.reasons[0]
     assert "turn it for two minutes" in outcome.reasons[0]
 
 

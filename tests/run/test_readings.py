@@ -337,7 +337,7 @@ def test_the_uncertainty_of_gravity_is_in_all_scale_factors(tmp_path: Path) -> N
 def test_gravity_that_is_not_stated_is_the_unit_and_that_is_said(tmp_path: Path) -> None:
     path = written(tmp_path, volts(noise=1.5e-5))
     found = run(path, "--scale", NEGATIVE)
-    assert "gravity is not stated: g at the place of the readings is the unit" in " ".join(found.stdout.split())
+    assert "gravity is not stated: the unit is g at the place of the readings" in " ".join(found.stdout.split())
     calibration = read_calibration(tmp_path / "readings.calibration.json")
     assert calibration.provenance.site is not None
     assert calibration.provenance.site.gravity_is_unit
@@ -543,7 +543,7 @@ def test_six_faces_give_bias_and_scale_factor_of_each_axis(tmp_path: Path) -> No
     options: dict[str, Any] = {"unit": "count", "scale": [16384.0], "gravity": 9.81, "gravity_u": 0.0}
     found = calibrate_readings(written(tmp_path, np.round(seen)), **options).calibration
     assert found.outcome.accel.accepted
-    assert "as six faces give them" in found.outcome.remarks[0]
+    assert "six faces give bias and scale factor of each axis alone" in found.outcome.remarks[0]
     assert [p.name for p in found.parameters] == list(TRIAD.names[:6])
     z = [(p.value - true) / (p.u or np.nan) for p, true in zip(found.parameters, values, strict=False)]
     assert np.abs(z).max() < 2.0

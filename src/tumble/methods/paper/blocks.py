@@ -33,20 +33,20 @@ def sensing_axes(block: Block) -> Array:
 
 
 def compensate(model: SensorModel, readings: Array, axes: Array) -> Array:
-    """Return readings (..., N, n) as of perfect sensors along `axes` (n, 3), Eq. (a)."""
+    """Return readings (..., N, n) as of perfect sensors along `axes` (n, 3), (a)."""
     bias = model.bias if model.bias.ndim == 1 else model.bias[..., None, :]
     return np.asarray((readings - bias) @ np.swapaxes(_compensation(model, axes), -1, -2))
 
 
 def compose(model: SensorModel, inner: SensorModel, axes: Array) -> SensorModel:
-    """Return the model of readings whose compensated values have the model `inner`, Eq. (b)."""
+    """Return the model of readings whose compensated values have the model `inner`, (b)."""
     T = _compensation(model, axes)
     bias = model.bias + np.linalg.solve(T, inner.bias[..., None])[..., 0]
     return SensorModel(matrix=np.asarray(np.linalg.solve(T, inner.matrix), dtype=float), bias=bias)
 
 
 def _compensation(model: SensorModel, axes: Array) -> Array:
-    """Return T (..., n, n) of Eq. (a)."""
+    """Return T (..., n, n) of (a)."""
     return np.asarray(np.eye(len(axes)) + (axes - model.matrix) @ model.inverse())
 
 
