@@ -2,7 +2,7 @@
 
     group                 object of an entry point
     tumble.commands       a command of click
-    tumble.exports        a function of a calibration, or the path of a template (`tumble.export`)
+    tumble.exports        a `Target`, or the path of a template (`tumble.export`)
     tumble.readers        a `Reader` of recordings (`tumble.recording.formats`)
     tumble.programmes     the attitude codes of the positions in order (`tumble.programme.positions`)
     tumble.parameters     a `ParameterGroup` (`tumble.sensors.parameters`)

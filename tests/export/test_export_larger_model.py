@@ -13,6 +13,8 @@ import pytest
 
 from tests.export.test_export_c import PROGRAM, compiled, gcc
 from tests.export.test_tables import read_csv, read_mat
+from tests.result.test_applied_correction import by_formula
+from tests.sensors.test_made_up_group import by_square
 from tests.support.calibrated import HEXAD, calibration, warmed
 from tests.support.exports import FORMATS, beside
 from tests.use.test_applied_model import larger, read, truth
@@ -20,8 +22,9 @@ from tumble.export import export_calibration
 from tumble.result.calibration import Calibration
 from tumble.result.correction import best_linear_model, session_rate
 from tumble.rotation import unit_vector
+from tumble.sensors import parameters
 from tumble.sensors.model import SensorModel
-from tumble.sensors.parameters import group_name, groups
+from tumble.sensors.parameters import ParameterGroup, group_name, groups
 from tumble.units import DEGREE, G_STANDARD, Array
 
 __all__ = ["gcc"]
@@ -72,6 +75,33 @@ def test_the_header_applies_slopes_at_a_temperature_as_the_library_does(
     np.testing.assert_allclose(run(gcc, tmp_path, made, "gyro", rows, warm=True), found_w, rtol=0.0, atol=1e-13)
     assert np.abs(found_f - made.apply(accel, gyro)[0]).max() > 1e-3
     assert "those in _at take it, in degC" in export_calibration(made, "c").content.decode()
+
+
+def test_header_and_formula_apply_a_group_of_gyros_by_products_of_forces(
+    tmp_path: Path, gcc: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    group = ParameterGroup(
+        name="gyro.g2",
+        kind="gyro",
+        unit="rad s^3/m^2",
+        words="gyros by the square of the force along Z",
+        suffixes=lambda block: block.sensors,
+        limit=1e-3,
+        usual={"mems": 1e-4},
+        regressors=by_square(2),
+    )
+    monkeypatch.setattr(parameters, "FURTHER", [*parameters.FURTHER, group])
+    made, instrument, values = larger()
+    force, rate = truth(1)
+    accel, gyro = read(instrument, values, force, rate)
+    found_f, found_w = made.apply(accel, gyro)
+    assert found_w is not None
+    assert np.abs(made["gyro.g2.x"].value) * 9.81**2 > 1e-4
+    rows = np.hstack([gyro, found_f])
+    np.testing.assert_allclose(run(gcc, tmp_path, made, "gyro", rows), found_w, rtol=0.0, atol=1e-13)
+    content = json.loads(export_calibration(made, "json").content)["correction"]["gyro"]
+    assert "by_products" in content["formula"]
+    np.testing.assert_allclose(by_formula(content, gyro, found_f), found_w, rtol=0.0, atol=1e-9)
 
 
 def test_the_header_applies_curvatures_of_a_linear_model(tmp_path: Path, gcc: str) -> None:

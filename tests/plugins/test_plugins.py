@@ -166,8 +166,15 @@ def test_a_broken_package_is_one_line(broken: Path, tmp_path: Path) -> None:
     assert built_in.status == 0
 
 
-@pytest.mark.parametrize("name", ["accel.bias", "mag.gain"])
-def test_a_group_of_parameters_needs_a_name_of_its_own(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("accel.bias", "expected the name of a group that is new, such as accel.fifth, found 'accel.bias'"),
+        ("mag.gain", "expected the name of a group that is new, such as accel.fifth, found 'mag.gain'"),
+        ("accel.fifth", "expected regressors of the group 'accel.fifth', found none"),
+    ],
+)
+def test_a_group_of_parameters_needs_a_name_of_its_own_and_regressors(name: str, expected: str, tmp_path: Path) -> None:
     (tmp_path / "groups-1.0.dist-info").mkdir()
     (tmp_path / "groups-1.0.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: groups\nVersion: 1.0\n")
     (tmp_path / "groups-1.0.dist-info/entry_points.txt").write_text("[tumble.parameters]\nother = own_groups:GROUP\n")
@@ -177,4 +184,4 @@ def test_a_group_of_parameters_needs_a_name_of_its_own(name: str, tmp_path: Path
     )
     (done,) = run(tmp_path, ["simulate", tmp_path / "s", "--terms", "full", "--grade", "mems"])
     assert done.status == 2
-    assert f"expected the name of a group that is new, such as accel.fifth, found '{name}'" in done.err
+    assert expected in done.err

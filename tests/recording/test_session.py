@@ -160,6 +160,10 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         "log.time: expected either log.time, a column, or log.rate_hz, found neither",
     ),
     "time and rate": ({"log": {"rate_hz": 100.0}}, "or log.rate_hz, found both"),
+    "clock beyond measure": (
+        {"log": {"clock_ppm_u": 1e308}},
+        "log.clock_ppm_u: expected a number from 0 to 1000000, found 1e+308",
+    ),
     "rate zero": ({"log": {"time": GONE, "rate_hz": 0}}, "log.rate_hz: expected a positive number, found 0"),
     "rate infinite": (
         {"log": {"time": GONE, "rate_hz": math.inf}},

@@ -38,6 +38,9 @@ def by_formula(of: dict[str, Any], y: Array, force: Array | None = None, celsius
         if "by_force" in number:
             assert force is not None
             terms = terms + force @ number["by_force"].T
+        if "by_products" in number:
+            assert force is not None
+            terms = terms + np.stack([force[:, k] * force[:, m] for k, m in PRODUCTS], axis=1) @ number["by_products"].T
     return x
 
 

@@ -76,7 +76,7 @@ def verdict(
     findings += _residual_findings(estimate, missing, search)
     if estimate.integral is not None and is_poorly_sampled(estimate.integral):
         findings.append(
-            remark("u is rough: few points count in the integral over scatter, in-run biases and sizes of groups")
+            remark("u is rough: the integral over scatter, in-run biases and sizes of groups has not settled")
         )
     order = ((), ("accel",), ("gyro",))
     refusals = sorted((finding for finding in findings if finding.refuses), key=lambda each: order.index(each.kinds))

@@ -184,9 +184,10 @@ def overflow_of(values: Array) -> float | None:
     values = values[np.isfinite(values)]
     steps = np.diff(values)
     falls = np.flatnonzero(steps < 0.0)
-    if not 0 < len(falls) <= _MOST_OVERFLOWS:
+    rising = steps[steps >= 0.0]
+    if not 0 < len(falls) <= _MOST_OVERFLOWS or not len(rising):
         return None
-    usual = float(steps[steps >= 0.0].mean())
+    usual = float(rising.mean())
     for number in _OVERFLOWS:
         after = steps[falls] + number
         if float(np.ptp(values)) < number and ((after > 0.0) & (after < _LOST_AT_RESTART * usual)).all():

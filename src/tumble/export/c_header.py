@@ -54,6 +54,8 @@ HELD_OVER_TEMPERATURE = frozenset(
 
 TRUE_QUANTITY: Mapping[SensorKind, str] = {"accel": "true specific force", "gyro": "true angular rate"}
 
+BY_FORCE = frozenset({"by_force", "by_products"})  # tables of terms of the gyros that need the specific force
+
 
 def c_header(calibration: Calibration) -> Exported:
     """Return the header of a calibration."""
@@ -65,7 +67,7 @@ def c_header(calibration: Calibration) -> Exported:
     comments = origin(calibration)
     for kind, worked in examples(compensator, list(by_kind)).items():
         force = " in that specific force" if "accel" in by_kind else " without a specific force"
-        where = force if "by_force" in nonlinear_tables(compensator, kind) else ""
+        where = force if BY_FORCE & nonlinear_tables(compensator, kind).keys() else ""
         comments.append(example_line(kind, worked.reading, worked.true, where=where))
     if thermal:
         measured = measured_range(calibration)
@@ -122,9 +124,9 @@ def _function(
     temperature of the sensors, if `at` is a calibration."""
     number, n, beyond = "float" if single else "double", len(model.bias), nonlinear_tables(compensator, kind)
     tables = {"bias": model.bias, "inverse": model.inverse()} | beyond
-    by_force, several, reference = "by_force" in beyond, False, ""
-    needs = " and the true specific force, m/s^2" if by_force else ""
-    argument = f"const {number} force[3], " if by_force else ""
+    several, reference = False, ""
+    needs = " and the true specific force, m/s^2" if BY_FORCE & beyond.keys() else ""
+    argument = f"const {number} force[3], " if BY_FORCE & beyond.keys() else ""
     if at is not None:
         several = len(set(at.temperature.thermometers.get(kind, ()))) > 1
         warm = thermal_tables(compensator, kind)
@@ -147,6 +149,7 @@ def _function(
         "apart": several,
         "reference": reference,
         "linear": not beyond,
-        "by_force": by_force,
+        "by_force": "by_force" in beyond,
+        "by_products": "by_products" in beyond,
         "steps": FIXED_POINT_STEPS,
     }

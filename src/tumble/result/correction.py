@@ -6,6 +6,7 @@ calibration, a_j the nominal axis of a sensor and s_j = a_j · x. The correction
 
     x = inverse · (y − bias − terms(x))                                                                          (1)
     terms_j = quadratic_j · (x₁², x₁x₂, x₁x₃, x₂², x₂x₃, x₃²) + cubic_j s_j³ + asymmetry_j |s_j| + by_force_j · f
+              + by_products_j · (f₁², f₁f₂, f₁f₃, f₂², f₂f₃, f₃²)
 
 from terms = 0. At d = T − reference, °C, the bias of each sensor is greater by d (bias_slope + d (bias_curve + d
 bias_cube)), and the difference in parentheses is divided by 1 + d (scale_slope + d scale_curve). Lever arms and delays
@@ -117,6 +118,7 @@ _TERMS = {
     "cubic": "cubic s³",
     "asymmetry": "asymmetry |s|",
     "by_force": "by_force · f",
+    "by_products": "by_products · (fx², fx fy, fx fz, fy², fy fz, fz²)",
 }
 
 
@@ -159,7 +161,8 @@ def nonlinear_tables(compensator: Compensator, kind: SensorKind) -> dict[str, Ar
     tables = {"axis": block.axes, "asymmetry": K[:, OWN_SIZE], "cubic": K[:, OWN_CUBE]}
     if kind == "accel":
         return tables | {"quadratic": K[:, PRODUCTS]}
-    return tables | ({"by_force": K[:, FORCE]} if np.any(K[:, FORCE]) else {})
+    by_force = {"by_force": K[:, FORCE], "by_products": K[:, PRODUCTS]}
+    return tables | {name: table for name, table in by_force.items() if np.any(table)}
 
 
 def thermal_tables(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
@@ -204,7 +207,7 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
             )
         content = {"formula": formula, "unit": UNITS[kind]} | {name: table.tolist() for name, table in tables.items()}
         example = {"y": worked.reading.tolist(), symbol: worked.true.tolist()}
-        if "by_force" in tables:
+        if {"by_force", "by_products"} & tables.keys():
             example["f"] = worked.force.tolist()
         out[kind] = content | {"example": example}
         if terms:

@@ -274,7 +274,8 @@ DRIFT_IN_PROCESS = ("mems", "consumer")  # grades whose in-run process of the bi
 
 @cache
 def _plugin_groups() -> tuple[ParameterGroup, ...]:
-    """Return the groups of other packages. Raises InputError if a name is taken, or not of accelerometers or gyros."""
+    """Return the groups of other packages. Raises InputError if a name is taken, or not of accelerometers or gyros, or
+    if a group has no regressors, without which it would not be estimated."""
     loaded = load_all("parameters", ParameterGroup).values()
     taken = {group.name for group in (*LINEAR, *FURTHER)}
     for group in loaded:
@@ -282,6 +283,11 @@ def _plugin_groups() -> tuple[ParameterGroup, ...]:
             raise InputError(
                 f"entry point tumble.parameters: expected the name of a group that is new, such as {group.kind}.fifth, "
                 f"found {group.name!r}; rename it in its package"
+            )
+        if group.linear:
+            raise InputError(
+                f"entry point tumble.parameters: expected regressors of the group {group.name!r}, found none; give "
+                "regressors= in its package"
             )
     return tuple(loaded)
 

@@ -244,7 +244,7 @@ class LogTable(SessionTable):
     rate_hz: float | None = key("a positive number", gt=0)
     regular: bool | None = key("true or false")
     doubt: str | None = key("a sentence")
-    clock_ppm_u: float | None = key("a number that is not negative", ge=0)
+    clock_ppm_u: float | None = key("a number from 0 to 1000000", ge=0, le=1e6)
     delimiter: Annotated[str, one_of(DELIMITERS)] | None = key("a character, or a blank for one or more blanks")
     decimal: Annotated[str, one_of(".,")] | None = key('"." or ","')
     comment: str | None = key("the mark that comments begin with", min_length=1, max_length=8)
