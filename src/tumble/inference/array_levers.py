@@ -8,11 +8,11 @@ The force f and ω̇ are unknowns of every sample, so that only the n − 6 comb
 orthogonal to H = [K, r × K]. Ω² is that of the rates (I + E) ω at t − τ, to second order in τ; the error E of the rates
 and the delay τ of the accelerometers are unknowns. own_p are errors of a single sensor in motion that a calibration at
 rest does not determine (bias, row of the matrix, square, delay), which are eliminated. The row of a sensor responds to
-the whole acceleration at its place: on a flat board an angular acceleration acts on accelerometers in the board through
-their height, 1 mm, and as much through an error of their axes of 10⁻³ times 10 mm. The result is a likelihood of lever
-arms, τ and E, from the moments of `tumble.reduction.turns.array_motion`. It does not depend on a translation of all
-sensors of one direction, which changes only f, and determines the scale of all lever arms only as well as E; turns
-determine both.
+the whole acceleration at its place: on a flat board an angular acceleration acts on accelerometers in the plane of the
+board through their height, 1 mm, and also through an error of their axes, 10⁻³ times 10 mm. The result is a likelihood
+of lever arms, τ and E, from the moments of `tumble.reduction.turns.array_motion`. It does not depend on a translation
+of all sensors of one direction, which changes only f, and determines the scale of all lever arms only as well as E;
+turns determine both.
 
 Differences of the rates from sample to sample are not used for ω̇: much of the angular acceleration of a shaken body is
 faster than the samples, and its scale relative to the differences depends on how these are formed.

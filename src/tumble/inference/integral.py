@@ -7,7 +7,7 @@ groups c, into which many sizes S = λ s are folded by small matrices,
 
     B = 1 + S Λ S,   c = S B⁻¹ S h,   Cov c = S B⁻¹ S,   ln L = const + ½ hᵀ S B⁻¹ S h − ½ ln |B|
 
-Sizes of groups on which the session has no information stay as usual.
+Groups on which the session has no information keep their usual sizes.
 
 Proposal: a Gaussian copula, φ_i = F_i⁻¹(N(z_i)), where z has the correlations of the average information. For a
 variance v, the gradient gives tr PD and rᵀPDPr at the maximum and the average information rᵀPDPDPr; the density of F_i
@@ -17,7 +17,7 @@ has the same three,
     1/(u + 1) = v̂ rᵀPDPDPr/rᵀPDPr,   ν = v̂ tr PD (u + 1),   s = v̂ rᵀPDPr (u + 1)²
 
 For a correlation time it is ℓ along the time through the maximum, mixed with the prior, at constant variance of the
-in-run bias within the session. Of a slowly changing bias, a session of length T observes only the variance
+in-run bias within the session. For a slowly changing bias, a session of length T observes only the variance
 
     σ_b² (1 − 2 (x − 1 + e^{−x})/x²),   x = T/τ
 
@@ -102,7 +102,7 @@ KNOTS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0])  # standard devi
 TIMES = np.array([-3.0, -2.0, -1.4, -0.9, -0.4, 0.0, 0.4, 0.9, 1.4, 2.0, 3.0])
 PRIOR_SHARE = 0.15  # share of the prior in the density along a correlation time
 REACH = 8.0  # standard deviations to which densities along standard deviations extend
-# Twice the sum of 1 − u²/s² over a group below which its size is not integrated over and stays as usual.
+# Twice the sum of 1 − u²/s² over a group, below which the group keeps its usual size.
 INFORMATIVE_GROUP = 0.2
 MIXED = 128  # draws of the mixture of Gaussians from which coverage factors are computed
 SHIFT = 0.6180339887498949  # offset between sequences of points in the unit cube: the golden ratio less 1

@@ -1,12 +1,12 @@
 """Prior knowledge of the parameters of a device, such as from other units of its type.
 
-A prior is a normal distribution N(m, S) of some parameters, in place of the usual sizes that a grade has for them. With
+A prior is a normal distribution N(m, S) of some parameters, in place of their usual sizes in the grade. With
 the information Λ and h of the recording, and of the usual sizes of other parameters, the estimate becomes
 
     C = (Λ + S⁻¹)⁻¹,   x = C (h + S⁻¹ m)                                                                        (1)
 
-If the prior is right, x_j − m_j has the variance S_jj − C_jj. A parameter with a deviation that occurs by chance in
-less than one of a hundred devices, by Student's t over all parameters (Holm), is named, and its prior is not used.
+If the prior is right, x_j − m_j has the variance S_jj − C_jj. A parameter whose deviation would occur by chance in less
+than one of a hundred devices (Student's t with Holm's rule over all parameters) is named, and its prior is not used.
 """
 
 from __future__ import annotations

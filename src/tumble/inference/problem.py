@@ -14,9 +14,9 @@ first order in the coefficients K, with the moments of `tumble.reduction.turns.m
 levers and delays. The residuals of a turn are (13) rotated into the axes of its covariance. The Coriolis term is left
 out of (13): it is below 0.1 σ for a table whose axes are within a metre of each other. Gravity is the same at all
 rests, so it is one unknown with one measurement. Table angles are used only with a `Prior` on attitudes. Parameters of
-the linear model have their limits as priors, which matter only for what the data leave undetermined; other parameters
-have their usual sizes. With n > 3 gyros each turn has n − 3 further residuals, in the directions that no rotation
-explains.
+the linear model have their limits as priors, which matter only for parameters that the data leave undetermined; other
+parameters have their usual sizes. With n > 3 gyros each turn has n − 3 further residuals, in the directions that no
+rotation explains.
 
 Several sessions of one instrument share its parameters. Each session has attitudes and changes of biases and scale
 factors of its own, from launch to launch or with time (`SESSION_VARIABLES`), with priors; they are eliminated session
@@ -214,7 +214,7 @@ class Problem:
     magnetometer
         The magnetometer, whose unknowns come first among the parameters of a session; None without one.
     bias_after
-        Share of the in-run bias after a turn in the bias during the turn; the rest is that before it.
+        Weight of the in-run bias after a turn in the bias during the turn; that before it has the remaining weight.
     """
 
     observations: Observations
@@ -540,7 +540,7 @@ def noise_model(problem: Problem, noise: NoiseModel, gained: Array) -> NoiseMode
     problem, noise
         The problem, and the part of its noise that does not depend on the attitudes.
     gained : (K, 3)
-        Velocity, m/s, that gravity gives each turn, in the body at its start. A rotation that errs on the way turns it.
+        Velocity, m/s, that gravity gives each turn, in the body at its start. An error of rotation on the way turns it.
     """
     turns, (Z, component) = problem.observations.turns, noise.turn_directions
     if turns is None or not len(Z) or not problem.instrument.in_velocities:
