@@ -76,7 +76,7 @@ class Candidate:
 
 
 def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -> list[list[Cause]]:
-    """Return for each session the causes it can see, the most likely candidate of each name and kind of sensor.
+    """Return for each session the causes that it determines, the most likely candidate of each name and kind of sensor.
 
     The p-value is multiplied by the number of places tried (Bonferroni)."""
     rest, turn = (np.concatenate([c.columns[rows] for c in candidates], axis=2) for rows in (0, 1))
@@ -123,7 +123,7 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
 def _beside_the_likeliest(found: list[tuple[Cause, IntArray]], projection: Projection) -> list[Cause]:
     """Return the causes, the likeliest first if it is significant, with the p-values of the others beside it.
 
-    A cause that explains nothing more beside it, and beside which it explains nothing more, is its rival."""
+    A cause is its rival if neither explains anything beside the other."""
     causes = [cause for cause, _ in found]
     if not causes or min(cause.p_value for cause in causes) > FALSE_ALARMS:
         return causes

@@ -107,7 +107,7 @@ def omitted_by_rests(
     shift : (m, k) array
         Shift of the parameters by one of each parameter of the groups.
     rows : (r, k) array
-        What the fit leaves of the columns of the groups, in units of `sigma`.
+        Columns of the groups, less the part that the fit absorbs, in units of `sigma`.
     """
     seen = observations.of_accelerometers()
     problem = whole_problem(seen)

@@ -252,7 +252,7 @@ def _session_findings(
         likely = [c for c in causes if c not in named and (not c.concerns or c.concerns[0] in kinds)]
         explained = any(cause.concerns != ("accel",) for cause in named)
         if ratios.get("turn", 0.0) > MOVEMENT_RATIO * ratios.get("gyro", 0.0) and not explained:
-            # what makes turns scatter, and gyros at rest much less, is random itself: nothing systematic need fit it
+            # a cause by which turns scatter far more than gyros at rest is random; no systematic effect need fit it
             sentence = "a device that moved after it was put down, or before it was taken up: wait until it lies still"
             named.append(Cause(name="movement", concerns=("gyro",), p_value=1.0, sentence=sentence))
             sentence = "or samples that are missing or held in the log, which in these turns look like movement: "
@@ -279,8 +279,8 @@ def _erratic_biases(linearised: Linearisation) -> Iterator[Finding]:
     """Refuse sensors whose biases change from rest to rest by more than MODEL_FAILURE_RATIO times the noise of a rest.
 
     The in-run bias changes by σ_b √(2 − 2 e^{−Δt/τ}). In-run instability and warm-up change it by a few times the
-    noise; if it is more, the process has taken an error that is no bias. Turns are compared with the verticals of the
-    accelerometers, whose errors therefore spoil the scale factors and axes of the gyros as well."""
+    noise; a larger change is an error that is no bias. Turns are compared with the verticals of the accelerometers,
+    whose errors therefore spoil the scale factors and axes of the gyros as well."""
     rests, components = linearised.problem.observations.rests, linearised.components
     interval = float(np.median(np.diff(0.5 * (rests.start + rests.stop)))) if len(rests) > 1 else 0.0
     for block in linearised.problem.instrument.blocks:

@@ -34,7 +34,7 @@ LEAST_WEIGHT = 0.1  # weight below which rows are left out
 # Probability of the farthest of all rests and turns by chance, below which a robust fit is made. If one turn of
 # fourteen spoils the scale of all, it is never beyond 3.9 sigmas.
 STANDS_OUT = 0.1
-LEFT_OUT = (1e-6, 1e-6, 1e-6, 1e-12, 1e-12)  # weights of outliers by group: near steel a magnetometer errs by 1000s of σ
+LEFT_OUT = (1e-6, 1e-6, 1e-6, 1e-12, 1e-12)  # weights of outliers by group: a magnetometer near steel errs by 1000 σ
 FREE = 0.01  # variance of a residual, relative to its noise, below which a direction has no information
 ROUNDED = 1e-9  # variance, relative to the largest, below which a direction is rounding
 LEAST_CHANCE = 1e-300

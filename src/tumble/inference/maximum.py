@@ -390,8 +390,7 @@ def _with_gravity_kept(solution: Solution) -> tuple[Array, Array, Array]:
 
 
 def heading_information(solution: Solution) -> Array:
-    """Return the information (M,), rad⁻², on the heading of each station by the gyros there and in the turn or link
-    after it.
+    """Return the heading information (M,), rad⁻², of the gyros at each station and in the turn or link after it.
 
     A turn has information only on the common heading of both its stations."""
     equations, problem = solution.equations, solution.problem

@@ -127,7 +127,7 @@ def with_prior(
     observable = estimate.observable.copy()
     observable[[i for i in places if group_name(names[i]) in further]] = True
     instrument, gravity = problem.instrument, observations.site.gravity
-    known = ", in the place of what is usual of the grade" if replaced else ""
+    replacing = ", in the place of what is usual of the grade" if replaced else ""
     combined = replace(
         estimate,
         values=values,
@@ -141,7 +141,7 @@ def with_prior(
         budget=budget,
         of_type={names[i]: float(np.sqrt(prior.covariance[k, k])) for i, k in places.items()},
     )
-    return combined, (f"{prior.words} are a prior of {len(places)} parameters{known}", *unlike)
+    return combined, (f"{prior.words} are a prior of {len(places)} parameters{replacing}", *unlike)
 
 
 def _without_usual_sizes(

@@ -32,7 +32,7 @@ DISPLACEMENTS = {"pivot": (1e-3, 0.1), "hand": (0.1, 0.1)}
 time."""
 RATE, AXIS_TIME = 60.0 * DEGREE, 4.0  # rad/s, and s about one axis
 SAMPLES = 20  # from node to node: a multiple of PARTS, which gives sensitivities to 1e-3
-COURSES = 3  # motions over which is averaged
+COURSES = 3  # random motions that are averaged
 LONGEST = 3600.0  # s: of a planned motion
 
 
@@ -52,7 +52,7 @@ class Motion:
 
     @property
     def courses(self) -> list[Motion]:
-        """The random motions over which is averaged."""
+        """The random motions whose results are averaged."""
         return [replace(self, course=course) for course in range(COURSES)]
 
     @property

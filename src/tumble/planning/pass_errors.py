@@ -144,7 +144,7 @@ def _omitted_groups(setup: Setup, method: MethodOfPaper) -> dict[str, Array]:
     """Return the variances (21,) by omitted groups; without known turns, of the accelerometers alone."""
     if not setup.further:
         return {}
-    noisy = replace(setup, noise=GRADES[usual_setup.GRADE].noise)  # of any size, as it does not change them
+    noisy = replace(setup, noise=GRADES[usual_setup.GRADE].noise)  # of any size, as the shift does not depend on it
     observations = linearised_course(itinerary_of(noisy), noisy, gyros=True).problem.observations
     observations = observations if known_turns(setup.programme) else observations.of_accelerometers()
     problem, shift = shift_by_groups(observations, METHODS[method])

@@ -89,9 +89,9 @@ class Plan(Brief):
     )
     setup: Setup
     method: PlannedMethod
-    groups: tuple[PlannedGroup, ...]  #: u by group; of the paper's methods after each pass
-    rank: int | None = None  #: of joint, number of determined combinations of the linear parameters
-    condition: float | None = None  #: of joint, condition number of the whitened Jacobian
+    groups: tuple[PlannedGroup, ...]  #: u by group; for the paper's methods after each pass
+    rank: int | None = None  #: for joint, number of determined combinations of the linear parameters
+    condition: float | None = None  #: for joint, condition number of the whitened Jacobian
     following: tuple[NextPosition, ...] = ()  #: the best next positions
     requirements: tuple[Requirement, ...] = ()  #: of each wanted accuracy
     motion: Motion | None = None  #: recorded instead of the programme
@@ -100,7 +100,7 @@ class Plan(Brief):
 
     @property
     def assumptions(self) -> tuple[str, ...]:
-        """What the session is assumed to state, in sentences."""
+        """Information that the session is assumed to state, in sentences."""
         g, usual = self.setup.gravity, UNKNOWN_HEIGHT_GRAVITY_U
         return (
             *(() if self.motion is None else (self.motion.assumption,)),

@@ -111,7 +111,7 @@ def _in_motion(
     at_rest: Array,
 ) -> Iterator[Array]:
     """Yield x (m, c) of the moving samples, batch by batch, that are usable and have usable neighbours: those at the
-    usual interval whose gyros agree, or, for three gyros, repeat nothing."""
+    usual interval whose gyros agree, or, for three gyros, do not repeat a reading."""
     accel, gyro = blocks
     redundant = accel.size - 3
     batches = [(start, first, stop) for start, stop in parts for first in range(start, stop, BATCH_SAMPLES)]
