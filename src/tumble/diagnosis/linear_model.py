@@ -109,11 +109,11 @@ def omitted_by_rests(
     rows : (r, k) array
         Columns of the groups, less the part that the fit absorbs, in units of `sigma`.
     """
-    seen = observations.of_accelerometers()
-    problem = whole_problem(seen)
-    instrument, block, g = problem.instrument, seen.accel_block, seen.site.gravity
+    rests_only = observations.of_accelerometers()
+    problem = whole_problem(rests_only)
+    instrument, block, g = problem.instrument, rests_only.accel_block, rests_only.site.gravity
     values = np.append(linear, np.zeros(len(instrument.names) - len(linear)))
-    force = g * unit_vector(block.model(linear).apply(seen.rests.accel))
+    force = g * unit_vector(block.model(linear).apply(rests_only.rests.accel))
     beta, D = functions(block, force, np.zeros_like(force)), instrument.derivative(block, values)
     changes = np.einsum("ipb,pbm->ipm", beta, D)
     changing, base = problem.change_columns

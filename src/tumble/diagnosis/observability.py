@@ -128,11 +128,11 @@ def most_informative(null: Array, candidates: Mapping[str, Array]) -> tuple[list
     while len(remaining):
         name = max(candidates, key=lambda name: float(np.linalg.norm(remaining @ candidates[name].T)))
         U, s, _ = np.linalg.svd(remaining @ candidates[name].T)
-        seen = int(np.sum(s > UNOBSERVABLE_SHARE * np.linalg.norm(candidates[name])))
-        if seen == 0:
+        rank = int(np.sum(s > UNOBSERVABLE_SHARE * np.linalg.norm(candidates[name])))
+        if rank == 0:
             break
         chosen.append(name)
-        remaining = U[:, seen:].T @ remaining
+        remaining = U[:, rank:].T @ remaining
     return chosen, len(remaining)
 
 

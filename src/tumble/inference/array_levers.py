@@ -119,17 +119,17 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
         readings, own, common, free = _linear(moments, K, r, delay, E)
         M = np.tensordot(1.0 / variances, moments.sums, axes=1)
         weighted, freed = own @ M, free @ common
-        every, right = np.zeros((n * s + COMMON, n * s + COMMON)), np.zeros(n * s + COMMON)
+        matrix, right = np.zeros((n * s + COMMON, n * s + COMMON)), np.zeros(n * s + COMMON)
         by_sensor = np.tensordot(weighted, own, axes=([2], [2])) * free[:, None, :, None]
-        every[:-COMMON, :-COMMON] = by_sensor.reshape(n * s, n * s)
-        every[:-COMMON, -COMMON:] = np.einsum("pac,epc->pae", weighted, freed).reshape(n * s, COMMON)
-        every[-COMMON:, :-COMMON] = every[:-COMMON, -COMMON:].T
-        every[-COMMON:, -COMMON:] = np.tensordot(common @ M, freed, axes=([1, 2], [1, 2]))
+        matrix[:-COMMON, :-COMMON] = by_sensor.reshape(n * s, n * s)
+        matrix[:-COMMON, -COMMON:] = np.einsum("pac,epc->pae", weighted, freed).reshape(n * s, COMMON)
+        matrix[-COMMON:, :-COMMON] = matrix[:-COMMON, -COMMON:].T
+        matrix[-COMMON:, -COMMON:] = np.tensordot(common @ M, freed, axes=([1, 2], [1, 2]))
         right[:-COMMON] = np.einsum("pac,pc->pa", weighted, free @ readings).ravel()
         right[-COMMON:] = np.einsum("epc,pc->e", common @ M, free @ readings)
-        inner, back = every[np.ix_(out, out)] + np.diag(np.tile(OWN**-2.0, n)), every[np.ix_(kept, out)]
-        solved = np.linalg.solve(inner, np.column_stack([every[np.ix_(out, kept)], right[out]]))
-        normal, gradient = every[np.ix_(kept, kept)] - back @ solved[:, :-1], right[kept] - back @ solved[:, -1]
+        inner, back = matrix[np.ix_(out, out)] + np.diag(np.tile(OWN**-2.0, n)), matrix[np.ix_(kept, out)]
+        solved = np.linalg.solve(inner, np.column_stack([matrix[np.ix_(out, kept)], right[out]]))
+        normal, gradient = matrix[np.ix_(kept, kept)] - back @ solved[:, :-1], right[kept] - back @ solved[:, -1]
 
         about = np.concatenate([r[order].ravel(), [delay], E.ravel()])
         step = np.linalg.solve(normal + np.diag(precision), gradient - precision * (about - centre))

@@ -369,8 +369,8 @@ def scaled(problem: Problem, hyperparameters: Hyperparameters, phi: Array) -> tu
     prior_u[..., 0], prior_u[..., 1:] = problem.usual_u[0], problem.usual_u[1:] * factors[..., :m]
     local_u, unlike = problem.usual_local_u * factors[..., m : m + q], factors[..., m + q :]
     components: dict[str, Any] = {h.name: values[..., i] for i, h in enumerate(hyperparameters) if not h.bounded}
-    none = dict.fromkeys(SCATTER, np.zeros(phi.shape[:-1])[()])
-    return problem.with_sizes(prior_u, local_u), VarianceComponents(**(none | components), unlike=unlike)
+    zero = dict.fromkeys(SCATTER, np.zeros(phi.shape[:-1])[()])
+    return problem.with_sizes(prior_u, local_u), VarianceComponents(**(zero | components), unlike=unlike)
 
 
 def solution_at(linearisation: Linearisation, hyperparameters: Hyperparameters, phi: Array) -> Solution:

@@ -524,8 +524,8 @@ def members_of(fitted: Maximum, elements: IntArray) -> tuple[IntArray, IntArray]
     """Return the parameters (g,) of the groups of some elements of φ, and the element (g,) of each."""
     hyperparameters, places = fitted.hyperparameters, np.arange(len(fitted.problem.instrument.names))
     groups = [places[hyperparameters[i].members] for i in elements]
-    none = np.zeros(0, dtype=int)
-    return np.concatenate([none, *groups]), np.repeat(elements.astype(int), [len(group) for group in groups])
+    empty = np.zeros(0, dtype=int)
+    return np.concatenate([empty, *groups]), np.repeat(elements.astype(int), [len(group) for group in groups])
 
 
 def _size_densities(fitted: Maximum, sizes: list[int]) -> dict[int, Density]:

@@ -478,10 +478,10 @@ def _with_link_noise(problem: Problem, Z: Array) -> NoiseModel:
     N[:, :3, :3] += (links.duration**2 * unknown_earth_variance(problem))[:, None, None] * np.eye(3)
     if problem.magnetometer is not None:
         variance = links.magnetometer_variance + (LEAST_FIELD * problem.magnetometer.field) ** 2
-        seen, wide = links.magnetic[:, None, None] * np.eye(3), np.zeros((len(N), 12, 12))
-        wide[:, :9, :9], wide[:, MAGNETIC_ROWS, MAGNETIC_ROWS] = N, np.eye(3) + (variance - 1.0) * seen
+        has_reading, wide = links.magnetic[:, None, None] * np.eye(3), np.zeros((len(N), 12, 12))
+        wide[:, :9, :9], wide[:, MAGNETIC_ROWS, MAGNETIC_ROWS] = N, np.eye(3) + (variance - 1.0) * has_reading
         along = np.zeros((len(N), 12, Z.shape[2] + 3))
-        along[:, :9, :-3], along[:, MAGNETIC_ROWS, -3:] = Z, seen
+        along[:, :9, :-3], along[:, MAGNETIC_ROWS, -3:] = Z, has_reading
         N, Z, places = wide, along, np.append(places, 3 * [SCATTER.index("mag")])
     return replace(problem.noise, link=N, link_directions=(Z, places))
 

@@ -423,9 +423,9 @@ class Problem:
     @cached_property
     def change_columns(self) -> tuple[IntArray, IntArray]:
         """Places (c,) of the parameters that are changes of others, and places (c,) of these others."""
-        places, none = np.arange(self.width), np.arange(0)
-        columns = np.concatenate([none, *(places[columns] for columns, _, _ in self.changes)])
-        return columns, np.concatenate([none, *(places[base] for _, base, _ in self.changes)])
+        places, empty = np.arange(self.width), np.arange(0)
+        columns = np.concatenate([empty, *(places[columns] for columns, _, _ in self.changes)])
+        return columns, np.concatenate([empty, *(places[base] for _, base, _ in self.changes)])
 
     @cached_property
     def regressors(self) -> tuple[Array, Array, Array]:

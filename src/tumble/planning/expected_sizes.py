@@ -117,6 +117,6 @@ def _expected_size(usual: Array, variance: Array, within: float, *, two_sided: b
     share, weight = size2 / (size2 + observed), density / density.sum(axis=1, keepdims=True)
     mean = weight @ share
     spread = weight @ share**2 - mean**2
-    known = np.mean(mean * observed + spread * drawn, axis=0)
-    larger = 1.0 / np.maximum(1.0 / known - 1.0 / observed, 1e-9 / s2) / s2
+    mean_variance = np.mean(mean * observed + spread * drawn, axis=0)
+    larger = 1.0 / np.maximum(1.0 / mean_variance - 1.0 / observed, 1e-9 / s2) / s2
     return np.asarray(np.sqrt(np.clip(larger, 0.0 if two_sided else 1.0, np.mean(weight @ np.exp(2.0 * p)))))

@@ -265,7 +265,7 @@ def _by_size(variances: Mapping[str, float]) -> dict[str, float]:
 def _groups_of(found: Bound, setup: Setup) -> Iterator[PlannedGroup]:
     """Yield the groups of a bound with their sources."""
     for group, members in positions_by_group(found.names).items():
-        seen = bool(np.all(found.observable[members]))
+        is_observable = bool(np.all(found.observable[members]))
         yield PlannedGroup(
             group=group,
             unit=found.units[members[0]],
@@ -274,7 +274,7 @@ def _groups_of(found: Bound, setup: Setup) -> Iterator[PlannedGroup]:
             u=found.rms(group),
             spread=setup.further[group] if group in setup.further else spread_of(setup, group),
             parameters={found.names[p]: float(found.u[p]) for p in members},
-            sources=_by_size({name: float(np.mean(v[members])) for name, v in found.sources.items() if seen}),
+            sources=_by_size({name: float(np.mean(v[members])) for name, v in found.sources.items() if is_observable}),
         )
 
 
