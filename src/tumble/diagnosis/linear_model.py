@@ -210,7 +210,7 @@ def with_omitted_groups(estimate: Estimate, problem: Problem, shift: Array, size
     degrees = estimate.degrees
     if degrees is not None:
         degrees = np.append(degrees * (np.diag(linear) / np.diag(estimate.covariance)) ** 2, np.full(k, np.inf))
-    members = {name: slice(own.start - first, own.stop - first) for name, own in instrument.members.items()}
+    members = {name: slice(place.start - first, place.stop - first) for name, place in instrument.members.items()}
     groups = tuple(
         GroupFinding(
             name=group.name,
@@ -224,9 +224,9 @@ def with_omitted_groups(estimate: Estimate, problem: Problem, shift: Array, size
     budget = estimate.budget
     if budget is not None:
         budget = budget.carried(np.vstack([np.eye(first), np.zeros((k, first))]))
-        for name, own in members.items():
-            by_group = np.vstack([-shifted, np.diag(sizes)])[:, own]
-            prior = source(f"prior.{name}", float(sizes[own.start]), instrument.units[first + own.start])
+        for name, place in members.items():
+            by_group = np.vstack([-shifted, np.diag(sizes)])[:, place]
+            prior = source(f"prior.{name}", float(sizes[place.start]), instrument.units[first + place.start])
             budget = budget.with_source(prior, by_group @ by_group.T)
     rate = None if estimate.prediction is None else estimate.prediction.at_rate
     return replace(

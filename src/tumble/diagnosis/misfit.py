@@ -98,9 +98,9 @@ class ResidualGroup:
         Z, component = noise.rest_directions if at_rest else noise.turn_directions
         W = equations.rest_whitening if at_rest else equations.turn_whitening
         residual, covariance = noise_only.rest_residuals if at_rest else noise_only.turn_residuals
-        own = part.rests if at_rest else part.turns
+        rows = part.rests if at_rest else part.turns
         directions = Z[:, :, np.isin(component, [SCATTER.index(name) for name in (self.name, *self.others)])]
-        return SumOfSquares.along(W[own] @ directions[own], residual[own], covariance[own]).p_value
+        return SumOfSquares.along(W[rows] @ directions[rows], residual[rows], covariance[rows]).p_value
 
 
 GROUPS = (
@@ -396,6 +396,6 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
         for sensor in block.sensors:
             ratio = by_name.get(f"{kind}.in_run.{sensor}")
             if ratio is not None and is_unusual(ratio):
-                own = with_unit(ratio.value * size.value, unit)
-                sentence = f"{kind}.bias.{sensor} wanders by {own}, those of the other {words} by {in_run}{IN_U}"
+                wander = with_unit(ratio.value * size.value, unit)
+                sentence = f"{kind}.bias.{sensor} wanders by {wander}, those of the other {words} by {in_run}{IN_U}"
                 yield Finding(sentence=sentence, concerns=bias, causes=("wandering sensor",))

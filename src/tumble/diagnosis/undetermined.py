@@ -188,7 +188,7 @@ def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array)
         block, g = observations.accel_block, observations.site.gravity
         spread = limits_of(block.names)
         further = {standing(u): rest_rows(block, u[None], g)[0] * spread for u in faces_and_edges()}
-        own = rest_rows(block, unit_vector(block.nominal().apply(observations.rests.accel)), g) * spread
+        recorded = rest_rows(block, unit_vector(block.nominal().apply(observations.rests.accel)), g) * spread
         what, unseen = "rests", unseen[of_accel, :m]
     else:
         eye = np.eye(3)
@@ -197,9 +197,9 @@ def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array)
             for up in range(3)
             for axis in range(3)
         }
-        own, what, unseen = _rows_of_turns(observations), "turns", unseen[:, m:]
+        recorded, what, unseen = _rows_of_turns(observations), "turns", unseen[:, m:]
     most = np.max([np.linalg.norm(rows @ unseen.T, axis=0) for rows in further.values()], axis=0)
-    in_noise = np.linalg.norm(own.reshape(-1, unseen.shape[1]) @ unseen.T, axis=0) >= most
+    in_noise = np.linalg.norm(recorded.reshape(-1, unseen.shape[1]) @ unseen.T, axis=0) >= most
     helpful, others = most_informative(unseen[~in_noise], further)
     parts = list[str]()
     if helpful:

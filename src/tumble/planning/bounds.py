@@ -133,8 +133,8 @@ def _bound_of_course(course: Itinerary | Motion, setup: Setup, *, gyros: bool, t
     rows = linearised_course(course, replace(setup, further=groups), gyros=gyros).with_components(full.components)
     sources, covariance, shift = dict(bound.sources), bound.covariance, shift_by_likelihood(rows)
     for name in groups:
-        own, sizes = rows.problem.instrument.members[name], full.problem.prior_u[1:]
-        by_group = shift[:, own.start - bound.linear : own.stop - bound.linear]
+        members, sizes = rows.problem.instrument.members[name], full.problem.prior_u[1:]
+        by_group = shift[:, members.start - bound.linear : members.stop - bound.linear]
         by_group = by_group * sizes[full.problem.instrument.members[name]]
         covariance, sources[name] = covariance + by_group @ by_group.T, (by_group**2).sum(axis=1)
     return replace(bound, covariance=covariance, sources=sources)
