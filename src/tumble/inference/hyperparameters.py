@@ -439,8 +439,8 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
 def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:
     """Return working variates of the steps of states after each station (M, s, D) and of initial states (S, s, D).
 
-    Those of sizes are the whitened residuals. With S β the steps of the states, of variances V, and w = V⁻¹ S β, those
-    of a correlation time, which changes the covariance S⁻¹ V S⁻ᵀ of β, are −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
+    For sizes they are the whitened residuals. With S β the steps of the states, of variances V, and w = V⁻¹ S β, those
+    for a correlation time, which changes the covariance S⁻¹ V S⁻ᵀ of β, are −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
     noise, b = solution.equations.noise, solution.states
     first = [part.stations.start for part in solution.problem.parts]
     follows, s, n = noise.follows[:, None], b.shape[1], solution.problem.sensors

@@ -808,7 +808,7 @@ def degrees_of(factor: Array) -> Array:
 def _summary(fitted: Maximum, phi: Array, weight: Array) -> Array:
     """Return median and limits of the middle 68 % of every hyperparameter (D, 3).
 
-    Those that are not integrated over have them by the curvature at the maximum."""
+    For those that are not integrated over, the limits follow from the curvature at the maximum."""
     out, prior_curvature = np.empty((len(fitted.phi), 3)), fitted.hyperparameters.log_prior(fitted.phi)[2]
     for i, h in enumerate(fitted.hyperparameters):
         at, order = fitted.phi[i], np.argsort(phi[:, i])

@@ -106,7 +106,7 @@ class Point:
     local : (S, q)
         Parameters of each session.
     velocities, displacements : (M, 3)
-        Of a moving device, m/s in the body and m in the navigation frame; (0, 3) otherwise.
+        For a moving device, m/s in the body and m in the navigation frame; (0, 3) otherwise.
     """
 
     values: Array
@@ -206,7 +206,7 @@ class Problem:
     before_turn : (K,)
         The station before each turn.
     local
-        Instrument whose further groups each session has for itself; None of a single session.
+        Instrument whose further groups each session has for itself; None for a single session.
     local_u, usual_local_u : (q,)
         Prior standard deviations of the parameters of a session, and those of usual size.
     at_lags

@@ -73,7 +73,7 @@ class Motion:
 
 
 def motion_of(pivot: str | None, hand: str | None) -> Motion | None:
-    """Return the motion of a text such as "120s" or "2min" for one of both; None without any. Raises InputError."""
+    """Return the motion of a duration such as "120s" or "2min"; None without any. Raises InputError."""
     if pivot is not None and hand is not None:
         raise InputError("--pivot, --hand: expected one of them, found both")
     held: Held = "hand" if pivot is None else "pivot"
