@@ -31,7 +31,7 @@ from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, GYRO_UNITS, TIME_UNITS, Array
 
 MEDIAN_MISS = 0.25  # rad: nominal gyros miss the vertical by less at the median, unless unit, sign or column are wrong
-LARGEST_MISS = 0.5  # rad: in a half turn, beyond that by bias, scale and axis errors of 5 %
+LARGEST_MISS = 0.5  # rad: in a half turn, more than bias, scale and axis errors of 5 % cause
 SMALL_SCALE_ERROR = 0.1  # that calibration removes
 FASTEST_TURN = 10.0  # rad/s: by hand or on a table
 LOG_RATES, SHORTEST_LOG = (0.5, 20_000.0), 2.0  # Hz and s, of a plausible log

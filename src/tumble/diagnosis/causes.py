@@ -76,7 +76,7 @@ class Candidate:
 
 
 def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -> list[list[Cause]]:
-    """Return for each session the causes it can see, the most likely candidate of each name and kind of sensor.
+    """Return for each session the causes that it determines, the most likely candidate of each name and kind of sensor.
 
     The p-value is multiplied by the number of places tried (Bonferroni)."""
     rest, turn = (np.concatenate([c.columns[rows] for c in candidates], axis=2) for rows in (0, 1))
@@ -94,8 +94,8 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
     causes_by_session = []
     for s, (by_noise, projection) in enumerate(zip(noise_only, with_scatter, strict=True)):
         best = dict[tuple[str, tuple[str, ...]], tuple[Cause, IntArray]]()
-        for c, own in zip(candidates, columns, strict=True):
-            first, fit = by_noise.fit(own, c.largest_u), projection.fit(own)
+        for c, own_columns in zip(candidates, columns, strict=True):
+            first, fit = by_noise.fit(own_columns, c.largest_u), projection.fit(own_columns)
             if first is None or fit is None:
                 continue
             p_value = max(by_noise.p_value(first.drop, first.rank), projection.p_value(fit.drop, fit.rank))
@@ -115,7 +115,7 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
                 by_group={group: float(damage[members].max()) for group, members in groups.items()},
                 sentence=c.sentences[min(s, len(c.sentences) - 1)].format(size=size),
             )
-            best[c.name, c.concerns] = cause, own
+            best[c.name, c.concerns] = cause, own_columns
         causes_by_session.append(_beside_the_likeliest(list(best.values()), projection))
     return causes_by_session
 
@@ -123,7 +123,7 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
 def _beside_the_likeliest(found: list[tuple[Cause, IntArray]], projection: Projection) -> list[Cause]:
     """Return the causes, the likeliest first if it is significant, with the p-values of the others beside it.
 
-    A cause that explains nothing more beside it, and beside which it explains nothing more, is its rival."""
+    A cause is its rival if neither explains anything beside the other."""
     causes = [cause for cause, _ in found]
     if not causes or min(cause.p_value for cause in causes) > FALSE_ALARMS:
         return causes

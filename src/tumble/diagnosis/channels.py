@@ -146,13 +146,13 @@ def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> list[str]:
     along = float((r * θ).sum())
     decays = len(r) >= FEWEST_TURNS and along < 0.0
     if decays and along**2 > DECAY_CORRELATION * float((r**2).sum() * (θ**2).sum()):
-        seen = "at rest the gyros read a rate against the turn before, which fades"
+        evidence = "at rest the gyros read a rate against the turn before, which fades"
     elif len(remaining) >= FEWEST_TURNS and np.median(remaining) < REMAINING_ANGLE:
-        seen = "in the integral of the gyros next to nothing is left of a turn once it is over"
+        evidence = "in the integral of the gyros next to nothing is left of a turn once it is over"
     else:
         return []
     return [
-        f"{seen}: a high-pass filter on the chip or in the driver, with which slow rates and biases are lost; "
+        f"{evidence}: a high-pass filter on the chip or in the driver, with which slow rates and biases are lost; "
         "switch it off"
     ]
 

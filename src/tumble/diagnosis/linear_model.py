@@ -107,13 +107,13 @@ def omitted_by_rests(
     shift : (m, k) array
         Shift of the parameters by one of each parameter of the groups.
     rows : (r, k) array
-        What the fit leaves of the columns of the groups, in units of `sigma`.
+        Columns of the groups, less the part that the fit absorbs, in units of `sigma`.
     """
-    seen = observations.of_accelerometers()
-    problem = whole_problem(seen)
-    instrument, block, g = problem.instrument, seen.accel_block, seen.site.gravity
+    rests_only = observations.of_accelerometers()
+    problem = whole_problem(rests_only)
+    instrument, block, g = problem.instrument, rests_only.accel_block, rests_only.site.gravity
     values = np.append(linear, np.zeros(len(instrument.names) - len(linear)))
-    force = g * unit_vector(block.model(linear).apply(seen.rests.accel))
+    force = g * unit_vector(block.model(linear).apply(rests_only.rests.accel))
     beta, D = functions(block, force, np.zeros_like(force)), instrument.derivative(block, values)
     changes = np.einsum("ipb,pbm->ipm", beta, D)
     changing, base = problem.change_columns
@@ -210,7 +210,7 @@ def with_omitted_groups(estimate: Estimate, problem: Problem, shift: Array, size
     degrees = estimate.degrees
     if degrees is not None:
         degrees = np.append(degrees * (np.diag(linear) / np.diag(estimate.covariance)) ** 2, np.full(k, np.inf))
-    members = {name: slice(own.start - first, own.stop - first) for name, own in instrument.members.items()}
+    members = {name: slice(place.start - first, place.stop - first) for name, place in instrument.members.items()}
     groups = tuple(
         GroupFinding(
             name=group.name,
@@ -224,9 +224,9 @@ def with_omitted_groups(estimate: Estimate, problem: Problem, shift: Array, size
     budget = estimate.budget
     if budget is not None:
         budget = budget.carried(np.vstack([np.eye(first), np.zeros((k, first))]))
-        for name, own in members.items():
-            by_group = np.vstack([-shifted, np.diag(sizes)])[:, own]
-            prior = source(f"prior.{name}", float(sizes[own.start]), instrument.units[first + own.start])
+        for name, place in members.items():
+            by_group = np.vstack([-shifted, np.diag(sizes)])[:, place]
+            prior = source(f"prior.{name}", float(sizes[place.start]), instrument.units[first + place.start])
             budget = budget.with_source(prior, by_group @ by_group.T)
     rate = None if estimate.prediction is None else estimate.prediction.at_rate
     return replace(

@@ -9,7 +9,7 @@ lacks
 if the samples are missing s after the start of a turn of duration T that begins with the vertical u; a device at rest
 before and after gains no velocity. Both columns are fitted to each turn, and the smallest p-value is multiplied by the
 number of turns. In a short session some parameters explain the rotations of its few turns. Then only the velocities
-show the loss; an estimate of all groups of parameters has them, one of the linear model has not.
+show the loss; an estimate of all groups of parameters uses them, one of the linear model does not.
 """
 
 from __future__ import annotations

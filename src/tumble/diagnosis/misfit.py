@@ -98,9 +98,9 @@ class ResidualGroup:
         Z, component = noise.rest_directions if at_rest else noise.turn_directions
         W = equations.rest_whitening if at_rest else equations.turn_whitening
         residual, covariance = noise_only.rest_residuals if at_rest else noise_only.turn_residuals
-        own = part.rests if at_rest else part.turns
+        rows = part.rests if at_rest else part.turns
         directions = Z[:, :, np.isin(component, [SCATTER.index(name) for name in (self.name, *self.others)])]
-        return SumOfSquares.along(W[own] @ directions[own], residual[own], covariance[own]).p_value
+        return SumOfSquares.along(W[rows] @ directions[rows], residual[rows], covariance[rows]).p_value
 
 
 GROUPS = (
@@ -252,7 +252,7 @@ def _session_findings(
         likely = [c for c in causes if c not in named and (not c.concerns or c.concerns[0] in kinds)]
         explained = any(cause.concerns != ("accel",) for cause in named)
         if ratios.get("turn", 0.0) > MOVEMENT_RATIO * ratios.get("gyro", 0.0) and not explained:
-            # what makes turns scatter, and gyros at rest much less, is random itself: nothing systematic need fit it
+            # a cause by which turns scatter far more than gyros at rest is random; no systematic effect need fit it
             sentence = "a device that moved after it was put down, or before it was taken up: wait until it lies still"
             named.append(Cause(name="movement", concerns=("gyro",), p_value=1.0, sentence=sentence))
             sentence = "or samples that are missing or held in the log, which in these turns look like movement: "
@@ -279,8 +279,8 @@ def _erratic_biases(linearised: Linearisation) -> Iterator[Finding]:
     """Refuse sensors whose biases change from rest to rest by more than MODEL_FAILURE_RATIO times the noise of a rest.
 
     The in-run bias changes by σ_b √(2 − 2 e^{−Δt/τ}). In-run instability and warm-up change it by a few times the
-    noise; if it is more, the process has taken an error that is no bias. Turns are compared with the verticals of the
-    accelerometers, whose errors therefore spoil the scale factors and axes of the gyros as well."""
+    noise; a larger change is an error that is no bias. Turns are compared with the verticals of the accelerometers,
+    whose errors therefore spoil the scale factors and axes of the gyros as well."""
     rests, components = linearised.problem.observations.rests, linearised.components
     interval = float(np.median(np.diff(0.5 * (rests.start + rests.stop)))) if len(rests) > 1 else 0.0
     for block in linearised.problem.instrument.blocks:
@@ -396,6 +396,6 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
         for sensor in block.sensors:
             ratio = by_name.get(f"{kind}.in_run.{sensor}")
             if ratio is not None and is_unusual(ratio):
-                own = with_unit(ratio.value * size.value, unit)
-                sentence = f"{kind}.bias.{sensor} wanders by {own}, those of the other {words} by {in_run}{IN_U}"
+                wander = with_unit(ratio.value * size.value, unit)
+                sentence = f"{kind}.bias.{sensor} wanders by {wander}, those of the other {words} by {in_run}{IN_U}"
                 yield Finding(sentence=sentence, concerns=bias, causes=("wandering sensor",))

@@ -122,17 +122,17 @@ def in_words(null: Array, names: Sequence[str]) -> list[str]:
 
 def most_informative(null: Array, candidates: Mapping[str, Array]) -> tuple[list[str], int]:
     """Return the names of candidates with rows (r, m) that together determine the combinations `null` (q, m), and the
-    number of combinations that none determines; each time the one that sees most of the remaining is chosen."""
+    number of combinations that none determines; each time the one that determines most of the remaining is chosen."""
     chosen: list[str] = []
     remaining = null[np.linalg.norm(null, axis=1) > UNOBSERVABLE_SHARE]
     while len(remaining):
         name = max(candidates, key=lambda name: float(np.linalg.norm(remaining @ candidates[name].T)))
         U, s, _ = np.linalg.svd(remaining @ candidates[name].T)
-        seen = int(np.sum(s > UNOBSERVABLE_SHARE * np.linalg.norm(candidates[name])))
-        if seen == 0:
+        rank = int(np.sum(s > UNOBSERVABLE_SHARE * np.linalg.norm(candidates[name])))
+        if rank == 0:
             break
         chosen.append(name)
-        remaining = U[:, seen:].T @ remaining
+        remaining = U[:, rank:].T @ remaining
     return chosen, len(remaining)
 
 

@@ -180,12 +180,12 @@ def _with_widened_priors(linearised: Linearisation) -> Problem:
     prior_u, local_u = problem.prior_u.copy(), problem.local_u.copy()
     off = np.append(0.0, point.values) - np.append(0.0, problem.prior_mean[1:])
     for members in problem.instrument.members.values():
-        own = slice(members.start + 1, members.stop + 1)
-        prior_u[own] *= max(1.0, float(np.sqrt(np.mean((off[own] / prior_u[own]) ** 2))))
+        places = slice(members.start + 1, members.stop + 1)
+        prior_u[places] *= max(1.0, float(np.sqrt(np.mean((off[places] / prior_u[places]) ** 2))))
     if problem.local is not None:
         for members in problem.local.members.values():
-            own = slice(members.start - problem.local.linear_count, members.stop - problem.local.linear_count)
-            local_u[own] *= max(1.0, float(np.sqrt(np.mean((point.local[:, own] / local_u[own]) ** 2))))
+            places = slice(members.start - problem.local.linear_count, members.stop - problem.local.linear_count)
+            local_u[places] *= max(1.0, float(np.sqrt(np.mean((point.local[:, places] / local_u[places]) ** 2))))
     return replace(problem, prior_u=prior_u, local_u=local_u)
 
 
@@ -204,8 +204,8 @@ def _with_north_rates(rows: Linearisation) -> Linearisation:
     rest, turn = north_rate_columns(rows)
     of_single = rest * (unknown & single)[problem.chain][:, None]
     chains = np.flatnonzero(unknown & ~single)
-    own = problem.chain[:, None] == chains
-    wide = rows.with_columns(rest[:, :, None] * own[:, None], turn[:, :, None] * own[problem.before_turn][:, None])
+    is_in = problem.chain[:, None] == chains
+    wide = rows.with_columns(rest[:, :, None] * is_in[:, None], turn[:, :, None] * is_in[problem.before_turn][:, None])
     added = np.arange(len(rows.prior) - 1, len(wide.prior) - 1)
     wide.prior[added, added] = 1.0
     return replace(wide, noise=replace(noise, rest=noise.rest + of_single[:, :, None] * of_single[:, None]))

@@ -146,10 +146,10 @@ def turn_likelihoods(
         sums = steps[:most].reshape(min(len(turns), most), -1, merged, 3).sum(axis=2)
         cosines = np.empty((len(exchanges), *(q / path[:most]).shape))
         for sign in (1.0, -1.0):  # mirrored gyros turn the other way
-            own = np.linalg.det(exchanges) * sign > 0.0
-            if own.any():
-                start, end = (np.einsum("eij,kj->eki", np.array(exchanges)[own], v[:most]) for v in (before, behind))
-                cosines[own] = _cosines(sign * sums, start, end, q)
+            signed = np.linalg.det(exchanges) * sign > 0.0
+            if signed.any():
+                start, end = (np.einsum("eij,kj->eki", np.array(exchanges)[signed], v[:most]) for v in (before, behind))
+                cosines[signed] = _cosines(sign * sums, start, end, q)
         kappa = 1.0 / (widths.vertical**2 + (widths.axes * path[:most] / q) ** 2)
         peak, out = 2.0 * kappa / -np.expm1(-2.0 * kappa), []
         for exchange, cosine in zip(exchanges, cosines, strict=True):

@@ -45,8 +45,8 @@ def undetermined(estimate: Estimate, observations: Observations, missing: tuple[
         if one_vertical := one_attitude(observations):
             sentence = f"{one_vertical}; {sentence}"
         else:
-            few, helpful = _too_few(observations, missing), _most_helpful(estimate, observations, estimate.null)
-            sentence = _joined(few, sentence, helpful)
+            too_few, helpful = _too_few(observations, missing), _most_helpful(estimate, observations, estimate.null)
+            sentence = _joined(too_few, sentence, helpful)
         findings.append(refusal(sentence, *_groups_of(missing)))
     combinations, u, refused = _poorly_determined(estimate, observations, {sensor_kind(name) for name in missing})
     if len(u):
@@ -94,10 +94,10 @@ def _too_few(observations: Observations, missing: Sequence[str]) -> str:
     block, rests = observations.accel_block, len(observations.rests)
     needed = len(linear_names(block.names)) if block.size == len("xyz") else 0
     kinds = {sensor_kind(name) for name in missing}
-    few = f"{rests} rests of the {needed} needed" if "accel" in kinds and rests < needed else ""
+    too_few = f"{rests} rests of the {needed} needed" if "accel" in kinds and rests < needed else ""
     turns = observations.turns_left_out if "gyro" in kinds else ()
     more = f" (and {len(turns) - 1} more)" if len(turns) > 1 else ""
-    return _joined(few, f"{turns[0]}{more}" if turns else "")
+    return _joined(too_few, f"{turns[0]}{more}" if turns else "")
 
 
 def _joined(*parts: str) -> str:
@@ -180,15 +180,15 @@ def _largest_of(combination: Array) -> list[int]:
 def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array) -> str:
     """Return the rests or turns that would determine combinations `unseen` (q, m) of parameters, the most useful first.
 
-    A combination that the session's own rests or turns show at least as well as any further one is lost in their noise:
-    no attitude is missing."""
+    If the rests or turns of the session show a combination at least as well as any further one would, it is lost in
+    noise, and no attitude is missing."""
     m = len(observations.accel_block.names)
     of_accel = np.linalg.norm(unseen[:, :m], axis=1) > SHARE_OF_ACCELEROMETERS
     if of_accel.any():
         block, g = observations.accel_block, observations.site.gravity
         spread = limits_of(block.names)
         further = {standing(u): rest_rows(block, u[None], g)[0] * spread for u in faces_and_edges()}
-        own = rest_rows(block, unit_vector(block.nominal().apply(observations.rests.accel)), g) * spread
+        recorded = rest_rows(block, unit_vector(block.nominal().apply(observations.rests.accel)), g) * spread
         what, unseen = "rests", unseen[of_accel, :m]
     else:
         eye = np.eye(3)
@@ -197,15 +197,15 @@ def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array)
             for up in range(3)
             for axis in range(3)
         }
-        own, what, unseen = _rows_of_turns(observations), "turns", unseen[:, m:]
+        recorded, what, unseen = _rows_of_turns(observations), "turns", unseen[:, m:]
     most = np.max([np.linalg.norm(rows @ unseen.T, axis=0) for rows in further.values()], axis=0)
-    in_noise = np.linalg.norm(own.reshape(-1, unseen.shape[1]) @ unseen.T, axis=0) >= most
+    in_noise = np.linalg.norm(recorded.reshape(-1, unseen.shape[1]) @ unseen.T, axis=0) >= most
     helpful, others = most_informative(unseen[~in_noise], further)
     parts = list[str]()
     if helpful:
         parts.append(f"{what} that would help, the most helpful first: {', '.join(helpful)}")
     if others and of_accel.any() and observations.gyro_block is not None and estimate.method == "joint":
-        parts.append("turns about other axes would show the others")  # parameters of the gyros, which no rest shows
+        parts.append("turns about other axes would show the others")  # gyro parameters, which no rest determines
     elif others:
         parts.append(f"the others no further {what} would show to the method {estimate.method}")
     if in_noise.any():

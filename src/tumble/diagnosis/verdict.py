@@ -146,10 +146,10 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Fin
     of other methods."""
     rests, turns, out = observations.rests, observations.turns, estimate.left_out
     N, K = len(rests), 0 if turns is None else len(turns)
-    none, by_gyros = np.zeros(N, dtype=bool), np.zeros(N, dtype=bool)
+    no_rest, by_gyros = np.zeros(N, dtype=bool), np.zeros(N, dtype=bool)
     if len(estimate.gyro_rest_sigmas):
         by_gyros = estimate.gyro_rest_sigmas == estimate.rest_sigmas
-    accel, gyro, turn = (none, none, np.zeros(K, dtype=bool)) if out is None else (out.accel, out.gyro, out.turn)
+    accel, gyro, turn = (no_rest, no_rest, np.zeros(K, dtype=bool)) if out is None else (out.accel, out.gyro, out.turn)
     for kind, what, omitted in (
         ("accel", "rests", accel),
         ("gyro", "rests by their gyros", gyro),

@@ -8,11 +8,11 @@ The force f and ω̇ are unknowns of every sample, so that only the n − 6 comb
 orthogonal to H = [K, r × K]. Ω² is that of the rates (I + E) ω at t − τ, to second order in τ; the error E of the rates
 and the delay τ of the accelerometers are unknowns. own_p are errors of a single sensor in motion that a calibration at
 rest does not determine (bias, row of the matrix, square, delay), which are eliminated. The row of a sensor responds to
-the whole acceleration at its place: on a flat board an angular acceleration acts on accelerometers in the board through
-their height, 1 mm, and as much through an error of their axes of 10⁻³ times 10 mm. The result is a likelihood of lever
-arms, τ and E, from the moments of `tumble.reduction.turns.array_motion`. It does not depend on a translation of all
-sensors of one direction, which changes only f, and determines the scale of all lever arms only as well as E; turns
-determine both.
+the whole acceleration at its place: on a flat board an angular acceleration acts on accelerometers in the plane of the
+board through their height, 1 mm, and also through an error of their axes, 10⁻³ times 10 mm. The result is a likelihood
+of lever arms, τ and E, from the moments of `tumble.reduction.turns.array_motion`. It does not depend on a translation
+of all sensors of one direction, which changes only f, and determines the scale of all lever arms only as well as E;
+turns determine both.
 
 Differences of the rates from sample to sample are not used for ω̇: much of the angular acceleration of a shaken body is
 faster than the samples, and its scale relative to the differences depends on how these are formed.
@@ -104,7 +104,7 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
     """Return the likelihood of the lever arms, with the accelerometer sensitivities at parameters `values` (m,).
 
     With x the regressors of a sample, M = Σ x xᵀ weighted by the variances of the classes, and N the combinations
-    orthogonal to force and ω̇, the residuals of all sensors are Nᵀ (left − Σ own a − Σ common b) x, where a are the
+    orthogonal to force and ω̇, the residuals of all sensors are Nᵀ (y − Σ own a − Σ common b) x, where a are the
     unknowns of single sensors, lever arms last, and b are the delay and E. All of a but the lever arms are
     eliminated."""
     accel, K = instrument.accel, instrument.model(instrument.accel, values).matrix
@@ -116,27 +116,27 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
     place = np.arange(n * s).reshape(n, s)
     kept, out = np.append(place[order, -3:].ravel(), n * s + np.arange(COMMON)), place[:, :-3].ravel()
     for _ in range(ROUNDS):
-        left, own, common, free = _linear(moments, K, r, delay, E)
+        readings, own, common, free = _linear(moments, K, r, delay, E)
         M = np.tensordot(1.0 / variances, moments.sums, axes=1)
         weighted, freed = own @ M, free @ common
-        every, right = np.zeros((n * s + COMMON, n * s + COMMON)), np.zeros(n * s + COMMON)
+        matrix, right = np.zeros((n * s + COMMON, n * s + COMMON)), np.zeros(n * s + COMMON)
         by_sensor = np.tensordot(weighted, own, axes=([2], [2])) * free[:, None, :, None]
-        every[:-COMMON, :-COMMON] = by_sensor.reshape(n * s, n * s)
-        every[:-COMMON, -COMMON:] = np.einsum("pac,epc->pae", weighted, freed).reshape(n * s, COMMON)
-        every[-COMMON:, :-COMMON] = every[:-COMMON, -COMMON:].T
-        every[-COMMON:, -COMMON:] = np.tensordot(common @ M, freed, axes=([1, 2], [1, 2]))
-        right[:-COMMON] = np.einsum("pac,pc->pa", weighted, free @ left).ravel()
-        right[-COMMON:] = np.einsum("epc,pc->e", common @ M, free @ left)
-        inner, back = every[np.ix_(out, out)] + np.diag(np.tile(OWN**-2.0, n)), every[np.ix_(kept, out)]
-        solved = np.linalg.solve(inner, np.column_stack([every[np.ix_(out, kept)], right[out]]))
-        normal, gradient = every[np.ix_(kept, kept)] - back @ solved[:, :-1], right[kept] - back @ solved[:, -1]
+        matrix[:-COMMON, :-COMMON] = by_sensor.reshape(n * s, n * s)
+        matrix[:-COMMON, -COMMON:] = np.einsum("pac,epc->pae", weighted, freed).reshape(n * s, COMMON)
+        matrix[-COMMON:, :-COMMON] = matrix[:-COMMON, -COMMON:].T
+        matrix[-COMMON:, -COMMON:] = np.tensordot(common @ M, freed, axes=([1, 2], [1, 2]))
+        right[:-COMMON] = np.einsum("pac,pc->pa", weighted, free @ readings).ravel()
+        right[-COMMON:] = np.einsum("epc,pc->e", common @ M, free @ readings)
+        inner, back = matrix[np.ix_(out, out)] + np.diag(np.tile(OWN**-2.0, n)), matrix[np.ix_(kept, out)]
+        solved = np.linalg.solve(inner, np.column_stack([matrix[np.ix_(out, kept)], right[out]]))
+        normal, gradient = matrix[np.ix_(kept, kept)] - back @ solved[:, :-1], right[kept] - back @ solved[:, -1]
 
         about = np.concatenate([r[order].ravel(), [delay], E.ravel()])
         step = np.linalg.solve(normal + np.diag(precision), gradient - precision * (about - centre))
         levers = np.zeros((n, 3))
         levers[order] = step[:-COMMON].reshape(-1, 3)
         of_sensors = np.column_stack([(solved[:, -1] - solved[:, :-1] @ step).reshape(n, s - 3), levers])
-        residual = left - np.einsum("psc,ps->pc", own, of_sensors) - np.tensordot(step[-COMMON:], common, axes=1)
+        residual = readings - np.einsum("psc,ps->pc", own, of_sensors) - np.tensordot(step[-COMMON:], common, axes=1)
         shown = np.einsum("pc,bcd,pd->b", free @ residual, moments.sums, residual, optimize=True)
         degrees = np.maximum(moments.counts, 1.0) * np.trace(free)
         variances = np.where(moments.counts > 0.0, shown / degrees, 1.0)
@@ -163,15 +163,15 @@ def _linear(moments: ArrayMoments, K: Array, r: Array, delay: float, E: Array) -
     squared[..., where["products"]] = _SQUARES @ (np.einsum("ijkl,ij->kl", _BY_RATE_ERROR, E) + np.eye(6))
     squared[..., where["change"]], squared[..., where["bend"]] = -delay * _SQUARES, 0.5 * delay**2 * _SQUARES
     pulled = np.einsum("ijc,pj->pic", squared, r)
-    left = -np.einsum("pi,pic->pc", K, pulled)
-    left[:, where["readings"]] += np.eye(len(K))
+    readings = -np.einsum("pi,pic->pc", K, pulled)
+    readings[:, where["readings"]] += np.eye(len(K))
     H = np.hstack([K, np.cross(r, K)]) if placed else K
-    seen = np.linalg.pinv(H) @ left
+    motion = np.linalg.pinv(H) @ readings
     turning = np.zeros((3, width))  # at first, without lever arms, the angular acceleration is that of the gyros
     turning[:, where["turning"]] = np.eye(3)
-    turning = seen[3:] if placed else turning
+    turning = motion[3:] if placed else turning
     own = np.zeros((len(K), len(OWN) + 3, width))
-    own[:, 0, where["one"]], own[:, 1:4] = 1.0, seen[:3] + pulled - skew(r) @ turning
+    own[:, 0, where["one"]], own[:, 1:4] = 1.0, motion[:3] + pulled - skew(r) @ turning
     own[:, 4, where["forces"]] = np.where(_FIRST == _SECOND, 1.0, 2.0) * K[:, _FIRST] * K[:, _SECOND]
     own[:, 5, where["jerk"]] = -K
     own[:, 6:] = np.einsum("pi,ijc->pjc", K, squared)
@@ -181,7 +181,7 @@ def _linear(moments: ArrayMoments, K: Array, r: Array, delay: float, E: Array) -
     common[0][:, where["change"]], common[0][:, where["bend"]] = -whirl, delay * whirl
     common[1:, :, where["products"]] = np.einsum("pm,eml->epl", whirl, _BY_RATE_ERROR.reshape(9, 6, 6))
     N = np.linalg.qr(H, mode="complete")[0][:, H.shape[1] :]
-    return left, own, common, N @ N.T
+    return readings, own, common, N @ N.T
 
 
 def _with_floor(normal: Array, gradient: Array) -> tuple[Array, Array]:

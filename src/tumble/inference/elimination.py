@@ -22,8 +22,8 @@ import scipy
 from tumble.inference import elimination_kernels as kernels
 from tumble.units import Array, IntArray
 
-ROUNDING = 1e-10  # part of a column's length below which what an elimination leaves of it is rounding
-BLOCK, WIDE_BLOCK, WIDE = 8, 32, 200  # columns that LAPACK folds together, and from WIDE parameters on
+ROUNDING = 1e-10  # remainder of a column after an elimination, relative to its length, that is rounding
+BLOCK, WIDE_BLOCK, WIDE = 8, 32, 200  # columns that LAPACK folds together: WIDE_BLOCK from WIDE parameters on
 
 
 def eliminate(

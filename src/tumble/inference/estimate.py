@@ -25,12 +25,12 @@ if TYPE_CHECKING:
     from tumble.inference.linearisation import Linearisation
     from tumble.inference.magnetic_estimate import MagnetometerEstimate
 
-# Limit of a parameter over its u from which it is determined. One that is less well known drifts while the estimate is
-# iterated, and changes others.
+# Least ratio of the limit of a parameter to its u for the parameter to be determined. One with a larger u drifts during
+# the iteration, and changes others.
 DETERMINED = 10.0
 UNOBSERVABLE_SHARE = 1e-3  # part of a parameter in the null space, in units of its spread, that makes it unobservable
 FIT_SIGMAS = 5.0  # distance from the fit beyond which a rest or turn does not fit
-KEPT = 1e-3  # learned fraction from which a session has information on a group
+KEPT = 1e-3  # least learned fraction of a group on which a session has information
 
 
 Verdict = Literal["accepted", "accepted with scatter", "not accepted"]
@@ -169,8 +169,7 @@ class OwnEstimate:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class HyperparameterEstimate:
-    """Estimate of a hyperparameter: median, limits of the middle 68 %, and the usual value, about which its prior
-    is."""
+    """Estimate of a hyperparameter: median, limits of the middle 68 %, and the usual value, the centre of its prior."""
 
     name: str
     unit: str
@@ -262,7 +261,7 @@ class Estimate(Brief):
     prediction
         Uncertainty of corrected readings.
     linearised
-        Linearisation at the estimate, or for methods without a likelihood that by which they are judged.
+        Linearisation at the estimate; for methods without a likelihood, the one by which they are judged.
     own
         Parameters of each of several sessions.
     hyperparameters, integral

@@ -31,17 +31,17 @@ MAGNETOMETER = "magnetometer"  # group of the readings of a magnetometer
 TOTAL = "noise within rests"  # fit of all residuals without scatter
 NU = 4.0  # ν: degrees of freedom of a robust fit
 LEAST_WEIGHT = 0.1  # weight below which rows are left out
-# Probability, over all rests and turns, above which the farthest is no reason for a robust fit. One of fourteen turns
-# that spoils the scale of all is never beyond 3.9 sigmas.
+# Probability of the farthest of all rests and turns by chance, below which a robust fit is made. If one turn of
+# fourteen spoils the scale of all, it is never beyond 3.9 sigmas.
 STANDS_OUT = 0.1
-LEFT_OUT = (1e-6, 1e-6, 1e-6, 1e-12, 1e-12)  # weights of outliers by group: near steel a magnetometer is 1000s of σ off
+LEFT_OUT = (1e-6, 1e-6, 1e-6, 1e-12, 1e-12)  # weights of outliers by group: a magnetometer near steel errs by 1000 σ
 FREE = 0.01  # variance of a residual, relative to its noise, below which a direction has no information
 ROUNDED = 1e-9  # variance, relative to the largest, below which a direction is rounding
 LEAST_CHANCE = 1e-300
 
 # For accelerometers at rest (N,), gyros at rest (N,), turns (K,), and the magnetometer at rests (N,) and at nodes
-# before links (J,): falls of chi-square, and degrees of freedom. Of rows left out it is the chi-square of their
-# readings relative to the prediction of all others.
+# before links (J,): falls of chi-square, and degrees of freedom. For rows left out, the fall is the chi-square of their
+# readings relative to the prediction by all others.
 Falls = tuple[list[Array], list[Array]]
 
 
@@ -107,7 +107,7 @@ def weighted(problem: Problem, noise: NoiseModel, weights: list[Array]) -> Noise
 
 
 def left_out(problem: Problem, noise: NoiseModel) -> tuple[BoolArray, BoolArray, BoolArray, BoolArray, BoolArray]:
-    """Return True, by group of `Falls`, for what is left out."""
+    """Return True, by group of `Falls`, for rows that are left out."""
     accel, gyro, mag = (noise.rest_weights[:, rows] for rows in _rows_of_sensors(problem))
     parts = accel, gyro, noise.turn_weights, mag, noise.link_weights[:, MAGNETIC_ROWS]
     a, g, t, m, n = (np.any(part < LEAST_WEIGHT**0.5, axis=1) for part in parts)

@@ -6,7 +6,7 @@
 | | turns, velocities …, magnetometer | σ of density m/(m + σ)² |
 | ln σ_b, ln τ_b of a kind of sensor | in-run bias, a Gauss–Markov process | log-normal about grade and 300 s, ÷× 30 |
 | ln σ_p, ln τ_p | displacement of a moving device, a Gauss–Markov process | log-normal about 2 cm and 0.5 s |
-| p of a sensor | factor exp(max(p, 0)) on its scatter and in-run bias over those of its kind | N(0, ln 3) |
+| p of a sensor | factor exp(max(p, 0)) on its scatter and in-run bias, relative to its kind | N(0, ln 3) |
 | p of a group of parameters | factor exp(max(p, 0)) on its usual size | N(0, ln k) |
 
 For a device that lies still while it warms up, ÷× 30 is ÷× 5, there is no scatter from one part of the rest to the
@@ -14,7 +14,7 @@ next, and all sensors of a kind are alike.
 
 Components of variance may become small but no test excludes them. The prior of those of turns falls off as a power:
 with an exponential one, turns spoilt by a hundred times their noise are so unlikely that sound accelerometers are
-blamed. With λ = exp(max(p, 0)), half of the prior probability says that the usual size holds, and half that it is too
+blamed. With λ = exp(max(p, 0)), half of the prior probability is that the usual size holds, and half that it is too
 small by a factor of the order k: 2 for a data sheet, 3 for a stated grade, 10 for a guessed grade if the next poorer
 grade has a larger size. A size is never reduced.
 
@@ -340,9 +340,9 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
         words = f"correlation time of the {words}"
         add(CorrelationTime, "displacement_time", "s", words, DISPLACEMENT_TIME, 1.0, members)
 
-    # Groups beyond the linear model. A lag, which multiplies others, keeps its size, for both could grow together; so
-    # does a curvature if there are only two temperatures, and a hysteresis if they were approached from one side: it
-    # would absorb what a bias has beyond its usual size.
+    # Groups beyond the linear model. A lag keeps its size, because it multiplies other parameters and both could grow
+    # together. So does a curvature at only two temperatures, and a hysteresis if these were approached from one side:
+    # it would absorb the excess of a bias over its usual size.
     two, both_sides = at_two_temperatures(observations), ramps_up_and_down(observations)
     held = {"lag", "temperature²" if two else "lag", "lag" if both_sides else "hysteresis"}
     common = {name: at for name, at in problem.instrument.members.items() if variable_of(name) not in held}
@@ -369,8 +369,8 @@ def scaled(problem: Problem, hyperparameters: Hyperparameters, phi: Array) -> tu
     prior_u[..., 0], prior_u[..., 1:] = problem.usual_u[0], problem.usual_u[1:] * factors[..., :m]
     local_u, unlike = problem.usual_local_u * factors[..., m : m + q], factors[..., m + q :]
     components: dict[str, Any] = {h.name: values[..., i] for i, h in enumerate(hyperparameters) if not h.bounded}
-    none = dict.fromkeys(SCATTER, np.zeros(phi.shape[:-1])[()])
-    return problem.with_sizes(prior_u, local_u), VarianceComponents(**(none | components), unlike=unlike)
+    zero = dict.fromkeys(SCATTER, np.zeros(phi.shape[:-1])[()])
+    return problem.with_sizes(prior_u, local_u), VarianceComponents(**(zero | components), unlike=unlike)
 
 
 def solution_at(linearisation: Linearisation, hyperparameters: Hyperparameters, phi: Array) -> Solution:
@@ -439,8 +439,8 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
 def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:
     """Return working variates of the steps of states after each station (M, s, D) and of initial states (S, s, D).
 
-    Those of sizes are the whitened residuals. With S β the steps of the states, of variances V, and w = V⁻¹ S β, those
-    of a correlation time, which changes the covariance S⁻¹ V S⁻ᵀ of β, are −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
+    For sizes they are the whitened residuals. With S β the steps of the states, of variances V, and w = V⁻¹ S β, those
+    for a correlation time, which changes the covariance S⁻¹ V S⁻ᵀ of β, are −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
     noise, b = solution.equations.noise, solution.states
     first = [part.stations.start for part in solution.problem.parts]
     follows, s, n = noise.follows[:, None], b.shape[1], solution.problem.sensors

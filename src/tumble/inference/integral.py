@@ -7,7 +7,7 @@ groups c, into which many sizes S = λ s are folded by small matrices,
 
     B = 1 + S Λ S,   c = S B⁻¹ S h,   Cov c = S B⁻¹ S,   ln L = const + ½ hᵀ S B⁻¹ S h − ½ ln |B|
 
-Sizes of groups on which the session has no information stay as usual.
+Groups on which the session has no information keep their usual sizes.
 
 Proposal: a Gaussian copula, φ_i = F_i⁻¹(N(z_i)), where z has the correlations of the average information. For a
 variance v, the gradient gives tr PD and rᵀPDPr at the maximum and the average information rᵀPDPDPr; the density of F_i
@@ -17,7 +17,7 @@ has the same three,
     1/(u + 1) = v̂ rᵀPDPDPr/rᵀPDPr,   ν = v̂ tr PD (u + 1),   s = v̂ rᵀPDPr (u + 1)²
 
 For a correlation time it is ℓ along the time through the maximum, mixed with the prior, at constant variance of the
-in-run bias within the session. Of a slowly changing bias, a session of length T observes only the variance
+in-run bias within the session. For a slowly changing bias, a session of length T observes only the variance
 
     σ_b² (1 − 2 (x − 1 + e^{−x})/x²),   x = T/τ
 
@@ -102,7 +102,7 @@ KNOTS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0])  # standard devi
 TIMES = np.array([-3.0, -2.0, -1.4, -0.9, -0.4, 0.0, 0.4, 0.9, 1.4, 2.0, 3.0])
 PRIOR_SHARE = 0.15  # share of the prior in the density along a correlation time
 REACH = 8.0  # standard deviations to which densities along standard deviations extend
-# Twice the sum of 1 − u²/s² over a group below which its size is not integrated over and stays as usual.
+# Twice the sum of 1 − u²/s² over a group, below which the group keeps its usual size.
 INFORMATIVE_GROUP = 0.2
 MIXED = 128  # draws of the mixture of Gaussians from which coverage factors are computed
 SHIFT = 0.6180339887498949  # offset between sequences of points in the unit cube: the golden ratio less 1
@@ -524,8 +524,8 @@ def members_of(fitted: Maximum, elements: IntArray) -> tuple[IntArray, IntArray]
     """Return the parameters (g,) of the groups of some elements of φ, and the element (g,) of each."""
     hyperparameters, places = fitted.hyperparameters, np.arange(len(fitted.problem.instrument.names))
     groups = [places[hyperparameters[i].members] for i in elements]
-    none = np.zeros(0, dtype=int)
-    return np.concatenate([none, *groups]), np.repeat(elements.astype(int), [len(group) for group in groups])
+    empty = np.zeros(0, dtype=int)
+    return np.concatenate([empty, *groups]), np.repeat(elements.astype(int), [len(group) for group in groups])
 
 
 def _size_densities(fitted: Maximum, sizes: list[int]) -> dict[int, Density]:
@@ -808,7 +808,7 @@ def degrees_of(factor: Array) -> Array:
 def _summary(fitted: Maximum, phi: Array, weight: Array) -> Array:
     """Return median and limits of the middle 68 % of every hyperparameter (D, 3).
 
-    Those that are not integrated over have them by the curvature at the maximum."""
+    For those that are not integrated over, the limits follow from the curvature at the maximum."""
     out, prior_curvature = np.empty((len(fitted.phi), 3)), fitted.hyperparameters.log_prior(fitted.phi)[2]
     for i, h in enumerate(fitted.hyperparameters):
         at, order = fitted.phi[i], np.argsort(phi[:, i])

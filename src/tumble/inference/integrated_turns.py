@@ -8,8 +8,8 @@ change ΔK of the coefficients of readings changes the rotation C to exp([φ×])
 
 summed over every function b of every sensor p. V depends on lever arms and delays by the columns of
 docs/explanation/mathematics.md (10) and (11). If gyros respond to specific force, which is measured late and elsewhere,
-φ depends on them by the same columns, with to_rate G s_p in place of s_p, G being the g-sensitivity; for velocities
-this response is taken as growing in proportion to time.
+φ depends on lever arms and delays by the same columns, with to_rate G s_p in place of s_p, G being the g-sensitivity;
+for velocities this response is taken as growing in proportion to time.
 """
 
 from __future__ import annotations
@@ -333,8 +333,7 @@ def _products(block: Block) -> Array:
 
 
 def _compensable(block: Block, K: Array) -> Array:
-    """Return the coefficients for compensation of samples: of the products of forces only the square along each
-    axis."""
+    """Return the coefficients for compensation of samples: products of forces are reduced to squares along the axes."""
     out, square = K.copy(), _square(block, K)
     out[:, PRODUCTS] = np.where(_FIRST == _SECOND, 1.0, 2.0) * square[:, None] * _products(block)
     out[:, RATE] = 0.0

@@ -12,7 +12,7 @@ is, so the prior falls off as a power,
 
     p(λ) = (3/2s)(1 + λ/2s)⁻⁴,    λ ≥ 0                                                                            (1)
 
-with mean s, a tenth of it beyond 2.3 s and a hundredth beyond 7.3 s: lags of minutes are accepted if the data show
+with mean s, a tenth of it beyond 2.3 s and a hundredth beyond 7.3 s: lags of minutes are accepted if the data support
 them.
 
 A lag matters only if something changes with temperature. If nothing does, every lag fits, and large ones best: the

@@ -257,7 +257,7 @@ def _rest_rows(problem: Problem, point: Point, model: tuple[Array, Array]) -> Ar
     f, w = point.gravity * L[:, 1], problem.earth @ L
     basis, m = bases(L), len(point.values)
     turned = skew(f) @ basis, skew(w) @ basis  # ∂f/∂δ and ∂ω/∂δ
-    # by heading exactly: a rounding error would tie the free heading to a direction of the biases
+    # exact derivatives by heading: a rounding error would tie the free heading to a direction of the biases
     turned[0][:, :, 2], turned[1][:, :, 2] = 0.0, -problem.earth[0] * basis[:, :, 1]
     attitude = slice(n, n + 3 * (problem.prior.attitude is not None))
     rows = np.zeros((len(L), attitude.stop + 3 * (problem.magnetometer is not None), 5 + problem.width))
@@ -427,7 +427,7 @@ def _link_rows(
         rows[:, at, -1] = -predicted
     rows[:, 3:6, 3:6], rows[:, 3:6, 9:12] = -moves[i, :, None] * np.eye(3), moves[i + 1, :, None] * C
     rows[:, 3:6, -1] += total.V - turned + v_i
-    rows[:, 6:, :2] += skew(apart) @ basis[:, :, :2]  # not by heading, with which displacements turn
+    rows[:, 6:, :2] += skew(apart) @ basis[:, :, :2]  # zero by heading: displacements turn with it
     rows[:, 6:, 3:6] = -T[:, None, None] * np.eye(3)
     rows[:, 6:, 12:15], rows[:, 6:, 15:18] = -np.swapaxes(start, 1, 2), np.swapaxes(start, 1, 2)
     rows[:, 6:, -1] += total.P - (C @ lever) + lever + v_i * T[:, None]
@@ -478,10 +478,10 @@ def _with_link_noise(problem: Problem, Z: Array) -> NoiseModel:
     N[:, :3, :3] += (links.duration**2 * unknown_earth_variance(problem))[:, None, None] * np.eye(3)
     if problem.magnetometer is not None:
         variance = links.magnetometer_variance + (LEAST_FIELD * problem.magnetometer.field) ** 2
-        seen, wide = links.magnetic[:, None, None] * np.eye(3), np.zeros((len(N), 12, 12))
-        wide[:, :9, :9], wide[:, MAGNETIC_ROWS, MAGNETIC_ROWS] = N, np.eye(3) + (variance - 1.0) * seen
+        has_reading, wide = links.magnetic[:, None, None] * np.eye(3), np.zeros((len(N), 12, 12))
+        wide[:, :9, :9], wide[:, MAGNETIC_ROWS, MAGNETIC_ROWS] = N, np.eye(3) + (variance - 1.0) * has_reading
         along = np.zeros((len(N), 12, Z.shape[2] + 3))
-        along[:, :9, :-3], along[:, MAGNETIC_ROWS, -3:] = Z, seen
+        along[:, :9, :-3], along[:, MAGNETIC_ROWS, -3:] = Z, has_reading
         N, Z, places = wide, along, np.append(places, 3 * [SCATTER.index("mag")])
     return replace(problem.noise, link=N, link_directions=(Z, places))
 

@@ -7,9 +7,9 @@ with an orthogonal Q. At one place the angle between the vertical u and the fiel
     uᵢᵀ Q qᵢ = −sin I for all stations i,
 
 which determines Q up to its sign: the permutation of axes and signs with the smallest scatter, followed by a rotation
-from least squares. Of Q and −Q, the field of the right one points down in the north if the latitude is known; otherwise
-it is the one that is a rotation. The attitudes of each chain are then turned about the vertical so that the field is
-north.
+from least squares. The sign is that with which the field points down in the northern hemisphere and up in the southern;
+near the equator, or at an unknown latitude, it is that of a rotation. The attitudes of each chain are then turned about
+the vertical so that the field is north.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ NEAR = 1e-3  # root mean square distance from the ellipsoid, relative to the fie
 SCATTER_LIMIT = 2e-2  # scatter, relative to the field, above which the magnetometer is refused: the field varies
 NEAR_EQUATOR = 20.0 * DEGREE  # latitude below which the field may point up or down
 TRIED, TURNED = 3, 0.3  # permutations of axes refined by a rotation, and prior standard deviation of its angles, rad
-# Scatter of the readings, relative to the field, in the first steps, so that the magnetometer is fitted to the other
-# sensors before they are to it; and number of these steps.
+# Scatter of the readings, relative to the field, in the first steps, so that the magnetometer does not affect the other
+# sensors before it is fitted to them; and number of these steps.
 LOOSE, FIRST_STEPS = 0.01, 4
 EXCHANGES = np.array([  # all permutations of axes and signs (48, 3, 3)
     np.array(signs)[:, None] * np.eye(3)[list(order)]

@@ -12,8 +12,8 @@ docs/explanation/mathematics.md (23), (28) and (29).
         parameters wherever the second-order effect of the change since the last integration matters.
     φ   at fixed residuals a trust region: s = B⁻¹γ, |s|∞ ≤ Δ, with the analytic gradient γ. B is the average
         information at first, then updated by BFGS; once these steps have settled it is the average information there,
-        with which the iteration goes on if φ has not settled. Sizes λ = exp(max(p, 0)) keep p ≥ 0, because the data do
-        not depend on p below.
+        and if φ has not settled the iteration goes on. Sizes λ = exp(max(p, 0)) keep p ≥ 0, because the data do not
+        depend on p below.
 
 The iteration ends when a step of x is negligible relative to u (CONVERGED) and ½ γᵀB⁻¹γ, the expected gain of ℓ, is
 below GAIN per element of φ (`Status.converged`), or when it runs out of steps, which is no result.
@@ -65,18 +65,18 @@ CONVERGED = 1e-3  # step of x, in u, that is negligible
 # Expected gain of ℓ per element at which φ has settled: within 0.05 of its standard deviations, root mean square.
 GAIN = 0.5 * 0.05**2
 WEIGHT_CHANGE = 0.05  # change of the weight of a row that is negligible
-# φ is not moved until a step of x is below NEAR u, for at most FAR_STEPS linearisations: residuals are far off till
-# then.
+# φ is not moved until a step of x is below NEAR u, for at most FAR_STEPS linearisations: until then residuals are far
+# off.
 NEAR, FAR_STEPS = 1.0, 2
-SAME = 0.1  # of ℓ per element of φ: how near to another maximum an iteration from below counts as leading there
+SAME = 0.1  # distance in ℓ below a known maximum, per element of φ, from which an iteration leads there
 FURTHEST = 2.0  # Δ at first, and its upper limit
 SQUARED = 10.0  # error after a step of Gauss–Newton over the square of the step, in units of the spreads
 UNSEEN = 0.2  # rad: standard deviation above which a heading is not observed by the gyros
 # Linearisations after which a heading that still moves is not observed, and weights of rows go half of the way.
 TO_AND_FRO = 6
 PLACE_UNKNOWN = 1e-3  # relative u of gravity of an unknown place, three times that of normal gravity anywhere
-BEYOND = 3.0  # times the usual: scatter or a size that large makes `maximise_from_starts` try other starts
-USELESS = {"turn": 0.3, "velocity": 3.0}  # rad and m/s: scatter with which turns have no information
+BEYOND = 3.0  # ratio of scatter or a size to the usual from which `maximise_from_starts` tries other starts
+USELESS = {"turn": 0.3, "velocity": 3.0}  # rad and m/s: turns of such scatter have no information
 WIDE = 3.0  # prior standard deviations of p from which sizes of groups start
 ANEW = 3.0  # s: correlation time of biases that change at every rest
 
@@ -164,8 +164,7 @@ def maximise(
     robust
         True for residuals with a Student-t distribution (`tumble.inference.fits`).
     known
-        A maximum found before, which is returned as soon as the iteration comes so close to it from below that it leads
-        there again.
+        An earlier maximum, returned as soon as the iteration approaches it from below to within SAME.
     """
     problem, linearisation = start.problem, start
     hyperparameters = hyperparameters_of(problem, start.noise, _estimable(solve(start, NO_COMPONENTS)))
@@ -391,9 +390,9 @@ def _with_gravity_kept(solution: Solution) -> tuple[Array, Array, Array]:
 
 
 def heading_information(solution: Solution) -> Array:
-    """Return the information (M,), rad⁻², of the gyros at each station and in the turn or link after it on its heading.
+    """Return the heading information (M,), rad⁻², of the gyros at each station and in the turn or link after it.
 
-    A turn has it only on the common heading of both its stations."""
+    A turn has information only on the common heading of both its stations."""
     equations, problem = solution.equations, solution.problem
     d, n, information = equations.unknowns, problem.observations.accel_block.size, np.zeros(len(problem.link))
     information[problem.station] = (equations.rest_rows[:, n:, 2] ** 2).sum(axis=1)

@@ -34,12 +34,12 @@ from tumble.units import Array, BoolArray, IntArray
 
 ANGLE, VELOCITY = 1.0, 5.0  # rad, m/s: larger than a blow causes in a sample; a fall from 1.3 m ends with 5 m/s
 ROUNDS = 3  # passes over all suspects; the second undoes replacements of the first that were due to another suspect
-ALIKE = 4.0  # of Q, two standard deviations: below, suspects are replaced, whose effect is no larger than noise
+ALIKE = 4.0  # difference of Q, two standard deviations, up to which suspects are replaced: it is noise
 MOST_RUNS = 12  # runs of suspects in one turn that are judged one by one; if there are more, all together
 
 
 def with_mended_samples(observations: Observations) -> Observations:
-    """Return observations in which only those suspect samples are replaced without which their turns close better.
+    """Return observations in which suspect samples are replaced only where their turns close better without them.
 
     Parameters
     ----------

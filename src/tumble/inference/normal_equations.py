@@ -158,7 +158,7 @@ class Solution:
 
     @cached_property
     def mean_bias(self) -> tuple[Array, Array] | None:
-        """Derivatives of the mean in-run biases of the session (`session_mean_bias`); None without or of several."""
+        """Derivatives of the mean in-run biases (`session_mean_bias`); None without biases or for several sessions."""
         return session_mean_bias(self.equations) if self.equations.wanders and len(self.problem.parts) == 1 else None
 
     @cached_property

@@ -27,7 +27,7 @@ DIRECTIONS = 200
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Prediction:
     """Standard uncertainties of the corrected specific force at 1 g, m/s², and of the corrected rate, rad/s, at
-    `at_rate`, rad/s, both of one sensor, averaged over attitudes; of the rate None without gyros."""
+    `at_rate`, rad/s, both of one sensor, averaged over attitudes; None for the rate without gyros."""
 
     force_u: float
     rate_u: float | None

@@ -1,12 +1,12 @@
 """Prior knowledge of the parameters of a device, such as from other units of its type.
 
-A prior is a normal distribution N(m, S) of some parameters, in place of the usual sizes that a grade has for them. With
+A prior is a normal distribution N(m, S) of some parameters, in place of their usual sizes in the grade. With
 the information Λ and h of the recording, and of the usual sizes of other parameters, the estimate becomes
 
     C = (Λ + S⁻¹)⁻¹,   x = C (h + S⁻¹ m)                                                                        (1)
 
-If the prior is right, x_j − m_j has the variance S_jj − C_jj. A parameter with a deviation that occurs by chance in
-less than one of a hundred devices, by Student's t over all parameters (Holm), is named, and its prior is not used.
+If the prior is right, x_j − m_j has the variance S_jj − C_jj. A parameter whose deviation would occur by chance in less
+than one of a hundred devices (Student's t with Holm's rule over all parameters) is named, and its prior is not used.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def with_prior(
     observable = estimate.observable.copy()
     observable[[i for i in places if group_name(names[i]) in further]] = True
     instrument, gravity = problem.instrument, observations.site.gravity
-    known = ", in the place of what is usual of the grade" if replaced else ""
+    replacing = ", in the place of what is usual of the grade" if replaced else ""
     combined = replace(
         estimate,
         values=values,
@@ -141,7 +141,7 @@ def with_prior(
         budget=budget,
         of_type={names[i]: float(np.sqrt(prior.covariance[k, k])) for i, k in places.items()},
     )
-    return combined, (f"{prior.words} are a prior of {len(places)} parameters{known}", *unlike)
+    return combined, (f"{prior.words} are a prior of {len(places)} parameters{replacing}", *unlike)
 
 
 def _without_usual_sizes(

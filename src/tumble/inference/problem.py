@@ -14,9 +14,9 @@ first order in the coefficients K, with the moments of `tumble.reduction.turns.m
 levers and delays. The residuals of a turn are (13) rotated into the axes of its covariance. The Coriolis term is left
 out of (13): it is below 0.1 σ for a table whose axes are within a metre of each other. Gravity is the same at all
 rests, so it is one unknown with one measurement. Table angles are used only with a `Prior` on attitudes. Parameters of
-the linear model have their limits as priors, which matter only for what the data leave undetermined; other parameters
-have their usual sizes. With n > 3 gyros each turn has n − 3 further residuals, in the directions that no rotation
-explains.
+the linear model have their limits as priors, which matter only for parameters that the data leave undetermined; other
+parameters have their usual sizes. With n > 3 gyros each turn has n − 3 further residuals, in the directions that no
+rotation explains.
 
 Several sessions of one instrument share its parameters. Each session has attitudes and changes of biases and scale
 factors of its own, from launch to launch or with time (`SESSION_VARIABLES`), with priors; they are eliminated session
@@ -106,7 +106,7 @@ class Point:
     local : (S, q)
         Parameters of each session.
     velocities, displacements : (M, 3)
-        Of a moving device, m/s in the body and m in the navigation frame; (0, 3) otherwise.
+        For a moving device, m/s in the body and m in the navigation frame; (0, 3) otherwise.
     """
 
     values: Array
@@ -206,7 +206,7 @@ class Problem:
     before_turn : (K,)
         The station before each turn.
     local
-        Instrument whose further groups each session has for itself; None of a single session.
+        Instrument whose further groups each session has for itself; None for a single session.
     local_u, usual_local_u : (q,)
         Prior standard deviations of the parameters of a session, and those of usual size.
     at_lags
@@ -214,7 +214,7 @@ class Problem:
     magnetometer
         The magnetometer, whose unknowns come first among the parameters of a session; None without one.
     bias_after
-        Share of the in-run bias after a turn in the bias during the turn; the rest is that before it.
+        Weight of the in-run bias after a turn in the bias during the turn; that before it has the remaining weight.
     """
 
     observations: Observations
@@ -423,9 +423,9 @@ class Problem:
     @cached_property
     def change_columns(self) -> tuple[IntArray, IntArray]:
         """Places (c,) of the parameters that are changes of others, and places (c,) of these others."""
-        places, none = np.arange(self.width), np.arange(0)
-        columns = np.concatenate([none, *(places[columns] for columns, _, _ in self.changes)])
-        return columns, np.concatenate([none, *(places[base] for _, base, _ in self.changes)])
+        places, empty = np.arange(self.width), np.arange(0)
+        columns = np.concatenate([empty, *(places[columns] for columns, _, _ in self.changes)])
+        return columns, np.concatenate([empty, *(places[base] for _, base, _ in self.changes)])
 
     @cached_property
     def regressors(self) -> tuple[Array, Array, Array]:
@@ -540,7 +540,7 @@ def noise_model(problem: Problem, noise: NoiseModel, gained: Array) -> NoiseMode
     problem, noise
         The problem, and the part of its noise that does not depend on the attitudes.
     gained : (K, 3)
-        Velocity, m/s, that gravity gives each turn, in the body at its start. A rotation that errs on the way turns it.
+        Velocity, m/s, that gravity gives each turn, in the body at its start. An error of rotation on the way turns it.
     """
     turns, (Z, component) = problem.observations.turns, noise.turn_directions
     if turns is None or not len(Z) or not problem.instrument.in_velocities:

@@ -4,8 +4,8 @@ Common errors do not appear in residuals:
 
 Rounding. If noise does not cover the steps L of a channel, the error of the mean of many samples is a sawtooth of the
 position of the true value between two steps (`tumble.reduction.noise.rounding`). Rests with equal readings have equal
-errors, and so does a turn about another axis: the error is one of the bias. Of rests whose true values scatter by s,
-the part e^(−2π²s²/L²) of the error is common; of accelerometers in several attitudes, nothing is. Readings scatter by
+errors, and so does a turn about another axis: the error is one of the bias. For rests whose true values scatter by s,
+the part e^(−2π²s²/L²) of the error is common; for accelerometers in several attitudes, no part is. Readings scatter by
 up to 1 + 2 Σ_k e^(−2π²k²σ²/L²) times as much as the true values between two steps.
 
 Time base. A clock that is fast by ε makes every turn longer by ε, and the scale factors of gyros larger by ε, unless
@@ -85,7 +85,7 @@ class Source:
     """Source of uncertainty.
 
     `u` is its standard uncertainty in `unit`, None if it has several quantities; `dof` are degrees of freedom, None if
-    many; `basis` is where the size of the prior of a group is from."""
+    many; `basis` is the origin of the prior size of a group."""
 
     name: str
     words: str

@@ -49,16 +49,16 @@ def _initial_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[In
     observations, up, instrument = problem.observations, problem.earth[1], problem.instrument
     block = instrument.gyro
     assert block is not None
-    own = instrument.own(block)
+    places = instrument.own(block)
     median = np.median(observations.rests.gyro, axis=0)
     values = values.copy()
-    values[own][: block.size] = median[block.channels]
+    values[places][: block.size] = median[block.channels]
     turns = observations.turns
     if turns is None:
-        return None, values[own]
+        return None, values[places]
     about = IntegratedTurns.of(observations, instrument, values)
-    derivative = np.einsum("ap,pqm->aqm", about.to_rate, block.jacobian(values[own]))
-    by_turn = about.rows(instrument, values, instrument.linearised(values), len(values))[:, :3, own]
+    derivative = np.einsum("ap,pqm->aqm", about.to_rate, block.jacobian(values[places]))
+    by_turn = about.rows(instrument, values, instrument.linearised(values), len(values))[:, :3, places]
     back = np.einsum("kij,kj->ki", about.C, vertical[turns.last])
     rate = (observations.rests.gyro - median) @ about.to_rate.T
     rough = max(EARTH_RATE, ROUGH_DRIFT * float(np.abs(rate).max()))
@@ -67,16 +67,16 @@ def _initial_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[In
     jacobian = np.concatenate([
         (skew(back) @ by_turn).reshape(-1, count) / ROUGH_TURN,
         by_rest.reshape(-1, count) / rough,
-        np.diag(1.0 / problem.spread[own]),
+        np.diag(1.0 / problem.spread[places]),
     ])  # fmt: skip
     residual = np.concatenate([
         (vertical[turns.first] - back).ravel() / ROUGH_TURN,
         (rate - up * vertical).ravel() / rough,
         np.zeros(count),
     ])  # fmt: skip
-    values[own] += np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
+    values[places] += np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
     near = bool(np.all(about.second_order(about.gyro_offset(instrument, values))[0] < ROUGH_EFFECT))
-    return (about if near else IntegratedTurns.of(observations, instrument, values)), values[own]
+    return (about if near else IntegratedTurns.of(observations, instrument, values)), values[places]
 
 
 def headings(problem: Problem, vertical: Array, values: Array, about: IntegratedTurns | None) -> Array:
@@ -139,7 +139,7 @@ def _initial_motion(problem: Problem, values: Array) -> Linearisation:
     observations, instrument, M = problem.observations, problem.instrument, len(problem.link)
     block, chain, station = instrument.gyro, problem.chain, np.arange(M)
     assert block is not None
-    own = instrument.own(block)
+    places = instrument.own(block)
     first, last = np.searchsorted(chain, chain), np.searchsorted(chain, chain, side="right") - 1
     low, high = np.maximum(station - WINDOW, first), np.minimum(station + WINDOW, last)
     here = station[: max(M - 2 * WINDOW, 0)]
@@ -157,7 +157,7 @@ def _initial_motion(problem: Problem, values: Array) -> Linearisation:
         rows = skew(back) @ to_body @ (swept[there] - swept[here])
         if len(rows):
             bias = np.linalg.lstsq(rows.reshape(-1, 3), (vertical[here] - back).ravel(), rcond=1e-6)[0]
-            values[own][: block.size] += (block.axes @ bias)[block.channels]
+            values[places][: block.size] += (block.axes @ bias)[block.channels]
     about = IntegratedTurns.of(observations, instrument, values)
     C, _, T = _transitions(problem, about)
     before = np.flatnonzero(chain[:-1] == chain[1:])

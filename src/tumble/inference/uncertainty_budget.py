@@ -88,7 +88,7 @@ def noise_covariances(linearisation: Linearisation) -> tuple[Covariances, Covari
 def contributions(solution: Solution) -> dict[str, Array]:
     """Return the covariances (1 + m, 1 + m) of gravity and the parameters by source.
 
-    Of a single session with in-run biases, biases are the means over the session."""
+    For a single session with in-run biases, biases are the means over the session."""
     problem, equations, linearisation = solution.problem, solution.equations, solution.linearisation
     noise, (inverse, by_next), sensitivity = equations.noise, equations.inverses, equations.sensitivity
     d, q, size, biases = equations.unknowns, solution.local.shape[-1], len(solution.parameters), 1 + problem.biases

@@ -23,13 +23,13 @@ from tumble.sensors.model import SensorKind
 from tumble.sensors.parameters import Variable
 from tumble.units import Array, BoolArray
 
-BOTH_WAYS = 3  # rests on each branch from which a hysteresis is estimated
+BOTH_WAYS = 3  # fewest rests on each branch for an estimate of hysteresis
 INNER = 0.8  # part of half the range outside which a hysteresis is too small to count
 # K: range of temperatures in a session below which a lag is neglected. A lag changes a temperature by at most half the
 # range, and that times a usual slope is within the usual instability of a bias, in every grade.
 LEVEL = 0.05
 RAMP_RANGE = 1.0  # K: range within a session from which hysteresis is estimated, or a remark made on motion
-BETWEEN = 0.8  # part of the range without a rest from which all rests are at its two ends
+BETWEEN = 0.8  # part of the range without a rest above which all rests are at its two ends
 
 NO_LAGS: Mapping[str, float] = MappingProxyType({})
 KINDS: tuple[SensorKind, ...] = ("accel", "gyro")

@@ -54,7 +54,7 @@ MOST_BAD = 0.2  # largest share of bad positions; beyond it, good and bad ones c
 RIVAL_P_VALUE = 1e-3
 """Two positions are rivals if the variances of the fits without one or the other differ by no more than chance does
 with this probability."""
-LEAST_REDUNDANCY = 1e-6  # part of the variance of a residual that remains after the fit; below it, it shows nothing
+LEAST_REDUNDANCY = 1e-6  # part of the variance of a residual that remains after the fit; a smaller one shows no error
 MOST_TRIED = 50  # up to this number of positions, each is left out in turn to find a bad one
 
 
@@ -83,7 +83,7 @@ class EllipsoidFit(Brief):
     leverage: Array  # (N,): part of its own residual that each position explains
     leave_one_out: Array  # (N,): residual against the fit through all others
     leave_one_out_u: Array
-    sigmas: Array  # (N,): ratio of the two
+    sigmas: Array  # (N,): leave_one_out / leave_one_out_u as Gaussian sigmas
     used: BoolArray  # (N,): False for positions that are left out as bad
     doubtful: tuple[int, ...]  # positions of which one is bad, but it is not known which; they are used
     chi_square: float

@@ -74,7 +74,7 @@ def with_groups(
     full = with_omitted_groups(estimate, problem, shift, omitted_sizes(problem, None))
     instrument, first, k = problem.instrument, len(fit.values), L.shape[1]
     groups = {group.name: instrument.members[group.name] for group in instrument.further}
-    group_of_column = np.repeat(np.arange(len(groups)), [own.stop - own.start for own in groups.values()])
+    group_of_column = np.repeat(np.arange(len(groups)), [place.stop - place.start for place in groups.values()])
     ratios = np.exp(np.maximum(normal_points(POINTS, len(groups)), 0.0) * np.log(STATED))
     by_grade = [ratios * [sizes.get(name, 0.0) for name in groups] for sizes in grades]
     S = np.concatenate(by_grade)[:, group_of_column]  # (points, k): λ √Σ
@@ -108,8 +108,8 @@ def with_groups(
     by_fit = -by_modulus
     by_fit[:first, :first] += estimate.covariance
     sources = {"fit": (weight @ c**2) * by_fit + np.einsum("j,jmr,jnr->mn", weight * c**2, K, K)}
-    for name, own in groups.items():
-        by_group = R[:, :, own.start - first : own.stop - first]
+    for name, place in groups.items():
+        by_group = R[:, :, place.start - first : place.stop - first]
         sources[f"prior.{name}"] = np.einsum("j,jmg,jng->mn", weight, by_group, by_group)
     centre = weight @ mean
     sources["hyperparameters"] = ((mean - centre).T * weight) @ (mean - centre)
@@ -122,7 +122,7 @@ def with_groups(
     covariance = sum(sources.values()) + by_modulus
     sigmas = np.sqrt(variance + np.diag(by_modulus))
     factor = coverage_factors(mean, sigmas, weight, np.sqrt(np.diag(covariance)))
-    sizes = {f"prior.{name}": (usual[name], instrument.units[own.start]) for name, own in groups.items()}
+    sizes = {f"prior.{name}": (usual[name], instrument.units[place.start]) for name, place in groups.items()}
     budget = UncertaintyBudget(
         sources=tuple(source(name, *sizes.get(name, ())) for name in sources),
         covariances=np.array(list(sources.values())),

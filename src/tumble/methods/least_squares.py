@@ -43,8 +43,8 @@ def least_squares(jacobian: Array, residual: Array, spread: Array) -> Solution:
     Q, R = np.linalg.qr(jacobian * spread)
     U, s, Vt = np.linalg.svd(R)
     rank = int(np.sum(s > max(DETERMINED, RELATIVE_RANK * s[0])))
-    seen, null = Vt[:rank], Vt[rank:]
-    gain = spread[:, None] * (seen.T / s[:rank]) @ (Q @ U[:, :rank]).T
+    determined, null = Vt[:rank], Vt[rank:]
+    gain = spread[:, None] * (determined.T / s[:rank]) @ (Q @ U[:, :rank]).T
     covariance = gain @ gain.T + (spread[:, None] * null.T) @ (null * spread)
     return Solution(step=gain @ residual, gain=gain, null=null, covariance=covariance)
 

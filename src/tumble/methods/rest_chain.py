@@ -193,17 +193,17 @@ class RestChain:
         changes[1 + self._biases, np.arange(n)] = 1.0
         size, t, zeta = self._statistics(G, z, changes)
         u = 1.0 / np.maximum(size, 1e-300)
-        seen = u < self._limits[self._biases] / DETERMINED
+        is_determined = u < self._limits[self._biases] / DETERMINED
         tests = {
             self.instrument.names[i]: BiasTest(change=float(t[k] * u[k]), u=float(u[k]), sigmas=float(zeta[k]))
             for k, i in enumerate(self._biases.tolist())
-            if seen[k]
+            if is_determined[k]
         }
         misfit = Fit(chi_square=squares + float(z @ z), degrees=float(degrees), scatter=0.0, unit="")
-        learned = bool(np.all(np.abs(zeta[seen]) <= SUSPECT))
+        learned = bool(np.all(np.abs(zeta[is_determined]) <= SUSPECT))
 
         # sums
-        self._finest = np.minimum(self._finest, np.where(seen, u, np.inf))
+        self._finest = np.minimum(self._finest, np.where(is_determined, u, np.inf))
         change = self._sizes * self._finest[self._sum_bias]
         restarted = (self.sums <= 0.0) & np.isfinite(change)
         self._change[restarted], self._mean[:, restarted] = change[restarted], 0.0

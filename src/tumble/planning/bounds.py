@@ -4,7 +4,7 @@ The rows are those of `tumble.inference.problem`, linearised at perfect sensors 
 which are unknowns and are eliminated. The noise of the instrument is white, with in-run biases as Gauss–Markov
 processes (`tumble.inference.noise`); a bias is the mean over the session. With the usual sizes of the groups beyond the
 linear model as priors, the covariance is the Cramér–Rao bound of the joint likelihood. `expected_bound` adds the
-effects of what `calibrate` does not know about a recording:
+effects of quantities that `calibrate` does not know exactly:
 
 * the noise, and the sizes of groups in this instrument (`tumble.planning.expected_sizes`);
 * the time base, which is common to all gyro scale factors;
@@ -133,8 +133,8 @@ def _bound_of_course(course: Itinerary | Motion, setup: Setup, *, gyros: bool, t
     rows = linearised_course(course, replace(setup, further=groups), gyros=gyros).with_components(full.components)
     sources, covariance, shift = dict(bound.sources), bound.covariance, shift_by_likelihood(rows)
     for name in groups:
-        own, sizes = rows.problem.instrument.members[name], full.problem.prior_u[1:]
-        by_group = shift[:, own.start - bound.linear : own.stop - bound.linear]
+        members, sizes = rows.problem.instrument.members[name], full.problem.prior_u[1:]
+        by_group = shift[:, members.start - bound.linear : members.stop - bound.linear]
         by_group = by_group * sizes[full.problem.instrument.members[name]]
         covariance, sources[name] = covariance + by_group @ by_group.T, (by_group**2).sum(axis=1)
     return replace(bound, covariance=covariance, sources=sources)
@@ -172,7 +172,7 @@ def bound_by(rows: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
     parts = {name: covariance[1:, 1:] for name, covariance in contributions(solve(rows.with_priors(problem))).items()}
     covariance = np.sum(list(parts.values()), axis=0)
 
-    # combinations that are not known DETERMINED times better than their spread are undetermined
+    # combinations with a u of more than 1/DETERMINED of their spread are undetermined
     spread, of_linear = problem.spread[:linear], covariance[:linear, :linear]
     variance, vectors = np.linalg.eigh(of_linear / np.outer(spread, spread))
     undetermined = vectors[:, variance > DETERMINED**-2].T

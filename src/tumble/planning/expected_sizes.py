@@ -8,11 +8,11 @@ each hyperparameter alone is
     λ of a group observed with variances v, of the usual size s     p(λ) Π (λ²s² + v)^{−1/2} e^{−y²/2(λ²s² + v)}
 
 with random χ² of ν degrees of freedom and y of variance s² + v. For scatter the root mean square of σ is taken, of the
-median session. For a group, the width of the prior is taken that gives a parameter its variance: the mean of
-1/(1/λ²s² + 1/v) and of the variation of its value with λ, averaged over sessions, as it is much larger in a few. A
-group that the session hardly determines (`INFORMATIVE_GROUP`) keeps its usual size, as in the integral. Each is found
-with the expected sizes of all others. An in-run bias is a group with as many members as states, whose prior is
-log-normal about the size of the set-up.
+median session. For a group, the width of the prior is that which gives a parameter its variance averaged over sessions,
+as this is much larger in a few: the mean of 1/(1/λ²s² + 1/v), plus the variation of its value with λ. A group that the
+session hardly determines (`INFORMATIVE_GROUP`) keeps its usual size, as in the integral. Each is found with the
+expected sizes of all others. An in-run bias is a group with as many members as states, whose prior is log-normal about
+the size of the set-up.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from tumble.units import Array
 POINTS = 400  # of an integral
 ROUNDS = 2  # of the sizes of groups, each with those of the others
 RANGE = 4.0  # of an integral, in standard deviations of the prior
-QUANTILES = (np.arange(64) + 0.5) / 64  # sessions over which is averaged
+QUANTILES = (np.arange(64) + 0.5) / 64  # sessions that are averaged
 
 
 def with_expected_sizes(rows: Linearisation) -> Linearisation:
@@ -117,6 +117,6 @@ def _expected_size(usual: Array, variance: Array, within: float, *, two_sided: b
     share, weight = size2 / (size2 + observed), density / density.sum(axis=1, keepdims=True)
     mean = weight @ share
     spread = weight @ share**2 - mean**2
-    known = np.mean(mean * observed + spread * drawn, axis=0)
-    larger = 1.0 / np.maximum(1.0 / known - 1.0 / observed, 1e-9 / s2) / s2
+    mean_variance = np.mean(mean * observed + spread * drawn, axis=0)
+    larger = 1.0 / np.maximum(1.0 / mean_variance - 1.0 / observed, 1e-9 / s2) / s2
     return np.asarray(np.sqrt(np.clip(larger, 0.0 if two_sided else 1.0, np.mean(weight @ np.exp(2.0 * p)))))

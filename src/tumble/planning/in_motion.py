@@ -32,7 +32,7 @@ DISPLACEMENTS = {"pivot": (1e-3, 0.1), "hand": (0.1, 0.1)}
 time."""
 RATE, AXIS_TIME = 60.0 * DEGREE, 4.0  # rad/s, and s about one axis
 SAMPLES = 20  # from node to node: a multiple of PARTS, which gives sensitivities to 1e-3
-COURSES = 3  # motions over which is averaged
+COURSES = 3  # random motions that are averaged
 LONGEST = 3600.0  # s: of a planned motion
 
 
@@ -52,7 +52,7 @@ class Motion:
 
     @property
     def courses(self) -> list[Motion]:
-        """The random motions over which is averaged."""
+        """The random motions whose results are averaged."""
         return [replace(self, course=course) for course in range(COURSES)]
 
     @property
@@ -73,7 +73,7 @@ class Motion:
 
 
 def motion_of(pivot: str | None, hand: str | None) -> Motion | None:
-    """Return the motion of a text such as "120s" or "2min" for one of both; None without any. Raises InputError."""
+    """Return the motion of a duration such as "120s" or "2min"; None without any. Raises InputError."""
     if pivot is not None and hand is not None:
         raise InputError("--pivot, --hand: expected one of them, found both")
     held: Held = "hand" if pivot is None else "pivot"

@@ -51,8 +51,8 @@ class TurnTable:
             raise InputError(f"step: expected a part of 90 degrees, at least {SMALLEST_STEP:g}, found {step_deg:g}")
         if axes is None:
             turned = [] if programme is None else [move.axis for move in programme.moves if move.axis is not None]
-            own = "".join(letter for i, letter in enumerate(_AXES) if any(axis[i] for axis in turned))
-            return TurnTable(axes=own or _AXES, step=step_deg * DEGREE)
+            turn_axes = "".join(letter for i, letter in enumerate(_AXES) if any(axis[i] for axis in turned))
+            return TurnTable(axes=turn_axes or _AXES, step=step_deg * DEGREE)
         letters = [letter.strip().upper() for letter in axes.split(",")]
         if not set(letters) <= set(_AXES) or len(set(letters)) < len(letters):
             raise InputError(f"axes: expected some of N, U, E, as in N,U, found {axes!r}")

@@ -80,10 +80,10 @@ class PassErrors:
         # T² = c + Σ τ_k l_k + Σ τ_k τ_l A_kl
         c, linear = T0 @ T0, T0 @ D + D @ T0
         A = np.einsum("kpj,ljq->klpq", D, D)
-        S, own = 0.5 * (A + A.swapaxes(0, 1)), np.einsum("kkpq->kpq", A)
-        trace = np.tensordot(v, own, axes=1)
+        S, diagonal = 0.5 * (A + A.swapaxes(0, 1)), np.einsum("kkpq->kpq", A)
+        trace = np.tensordot(v, diagonal, axes=1)
         square = trace**2 + 2.0 * np.einsum("k,l,klpq->pq", v, v, S**2, optimize=True)
-        square += np.tensordot(fourth - 3.0 * v**2, own**2, axes=1)
+        square += np.tensordot(fourth - 3.0 * v**2, diagonal**2, axes=1)
         # q(X) = Xᵀ Q X, with the mean square (tr Q)² + 2 Σ Q_ij² for independent Gaussian X of unit spread
         Q = np.outer(spread, spread)[:, :, None] * plan.second_order()
         return PassErrors(
@@ -125,7 +125,7 @@ class PassErrors:
 
     def _by_group(self, name: str, matrix: Array) -> dict[str, Array]:
         """Return the variances (21,) by each group of parameters through a matrix."""
-        return {name.format(g): matrix[:, own] @ self.spread[own] ** 2 for g, own in MEMBERS.items()}
+        return {name.format(g): matrix[:, places] @ self.spread[places] ** 2 for g, places in MEMBERS.items()}
 
 
 def remarks(setup: Setup) -> Iterator[str]:
@@ -144,14 +144,14 @@ def _omitted_groups(setup: Setup, method: MethodOfPaper) -> dict[str, Array]:
     """Return the variances (21,) by omitted groups; without known turns, of the accelerometers alone."""
     if not setup.further:
         return {}
-    noisy = replace(setup, noise=GRADES[usual_setup.GRADE].noise)  # of any size, as it does not change them
+    noisy = replace(setup, noise=GRADES[usual_setup.GRADE].noise)  # of any size, as the shift does not depend on it
     observations = linearised_course(itinerary_of(noisy), noisy, gyros=True).problem.observations
     observations = observations if known_turns(setup.programme) else observations.of_accelerometers()
     problem, shift = shift_by_groups(observations, METHODS[method])
     first, variances = problem.instrument.linear_count, np.zeros((len(NAMES), shift.shape[1]))
     variances[: len(shift)] = (shift * problem.usual_u[1 + first :]) ** 2
     groups = problem.instrument.members.items()
-    return {name: variances[:, own.start - first : own.stop - first].sum(axis=1) for name, own in groups}
+    return {name: variances[:, members.start - first : members.stop - first].sum(axis=1) for name, members in groups}
 
 
 def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:

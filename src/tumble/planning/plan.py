@@ -89,9 +89,9 @@ class Plan(Brief):
     )
     setup: Setup
     method: PlannedMethod
-    groups: tuple[PlannedGroup, ...]  #: u by group; of the paper's methods after each pass
-    rank: int | None = None  #: of joint, number of determined combinations of the linear parameters
-    condition: float | None = None  #: of joint, condition number of the whitened Jacobian
+    groups: tuple[PlannedGroup, ...]  #: u by group; for the paper's methods after each pass
+    rank: int | None = None  #: for joint, number of determined combinations of the linear parameters
+    condition: float | None = None  #: for joint, condition number of the whitened Jacobian
     following: tuple[NextPosition, ...] = ()  #: the best next positions
     requirements: tuple[Requirement, ...] = ()  #: of each wanted accuracy
     motion: Motion | None = None  #: recorded instead of the programme
@@ -100,7 +100,7 @@ class Plan(Brief):
 
     @property
     def assumptions(self) -> tuple[str, ...]:
-        """What the session is assumed to state, in sentences."""
+        """Information that the session is assumed to state, in sentences."""
         g, usual = self.setup.gravity, UNKNOWN_HEIGHT_GRAVITY_U
         return (
             *(() if self.motion is None else (self.motion.assumption,)),
@@ -265,7 +265,7 @@ def _by_size(variances: Mapping[str, float]) -> dict[str, float]:
 def _groups_of(found: Bound, setup: Setup) -> Iterator[PlannedGroup]:
     """Yield the groups of a bound with their sources."""
     for group, members in positions_by_group(found.names).items():
-        seen = bool(np.all(found.observable[members]))
+        is_observable = bool(np.all(found.observable[members]))
         yield PlannedGroup(
             group=group,
             unit=found.units[members[0]],
@@ -274,7 +274,7 @@ def _groups_of(found: Bound, setup: Setup) -> Iterator[PlannedGroup]:
             u=found.rms(group),
             spread=setup.further[group] if group in setup.further else spread_of(setup, group),
             parameters={found.names[p]: float(found.u[p]) for p in members},
-            sources=_by_size({name: float(np.mean(v[members])) for name, v in found.sources.items() if seen}),
+            sources=_by_size({name: float(np.mean(v[members])) for name, v in found.sources.items() if is_observable}),
         )
 
 

@@ -52,7 +52,7 @@ class Setup(Brief):
     first_rest, ramp : float
         Least duration of the first rest, and time in which turns reach and leave their rate.
     instrument : str
-        A grade, or the name of an instrument of one's own.
+        A grade, or the name of another instrument.
     accel, gyro, further
         Standard deviations of the linear parameters over instruments, and of groups beyond the linear model, which are
         their priors too.
@@ -149,7 +149,7 @@ def time_of(programme: Programme, setup: Setup) -> float:
 def with_all_groups(setup: Setup) -> Setup:
     """Return the set-up with all groups of parameters, of the usual sizes of its grade unless stated.
 
-    An instrument of one's own, or one without noise, has the stated groups only."""
+    An instrument that is no grade, or has no noise, has the stated groups only."""
     if setup.instrument not in GRADES or setup.noise == setup.noise.scaled(0.0):
         return setup
     return replace(setup, further=usual_sizes(setup.instrument) | dict(setup.further))

@@ -52,10 +52,10 @@ from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import DEGREE, Array, IntArray
 
-COSINE_ALIKE = np.cos(10.0 * DEGREE)  # of the angle between two verticals, or of a turn, up to which attitudes are one
+COSINE_ALIKE = np.cos(10.0 * DEGREE)  # verticals, or attitudes by a turn, within 10° are one
 
 
-WARMED = 1.0  # K: temperature change of a rest from which it is divided
+WARMED = 1.0  # K: temperature change from which a rest is divided
 SHORTEST_PART = 20.0  # s: a shorter part has too few blocks for the noise of its mean
 MAX_PARTS = 60
 PART_ROTATION = 1e-6  # rad per axis: motion of a support from one part of a rest to the next
@@ -194,7 +194,7 @@ class Observations(Brief):
         return replace(self, turns=turns, turn_samples=samples)
 
     def with_blow_variances(self) -> Observations:
-        """Return observations whose velocity covariances include what blows in the turns may hide."""
+        """Return observations whose velocity covariances include the velocities that blows in the turns may hide."""
         if self.turns is None or self.turn_samples is None:
             return self
         blows = blow_variances(self.turn_samples)[:, None, None] * np.eye(3)

@@ -83,9 +83,9 @@ class Solver:
             sheet[:, LEVER:SENSITIVITY], sheet[:, SENSITIVITY:ACROSS] = levers, K[:, measured]
             sheet[:, ACROSS:ALONG] = np.cross(levers, K[:, measured])
             sheet[:, ALONG] = np.sum(levers * K[:, measured], axis=1)
-        own, products = bool(np.any(sheet[:, OWN_SIZE : OWN_CUBE + 1])), bool(np.any(sheet[:, PRODUCTS]))
+        along_axes, products = bool(np.any(sheet[:, OWN_SIZE : OWN_CUBE + 1])), bool(np.any(sheet[:, PRODUCTS]))
         feels = bool(np.any(sheet[:, RATE if of_force else FORCE])) or (products and not of_force)
-        linear = not own and not (products and of_force)
+        linear = not along_axes and not (products and of_force)
         return Solver(sheet=sheet, steps=1 if linear else 1 + FIXED_POINT_STEPS, of_force=of_force, feels=feels)
 
     def solved(self, readings: Array, other: Array | None = None, temperature: Array | None = None) -> Array:

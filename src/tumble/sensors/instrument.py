@@ -229,12 +229,12 @@ def measured_by(block: Block) -> slice:
 
 def functions(block: Block, force: Array, rate: Array) -> Array:
     """Return β (N, n, 15) of the sensors of a block for specific forces and rates (N, 3) in the body."""
-    own = (force if block.kind == "accel" else rate) @ block.axes.T
+    along = (force if block.kind == "accel" else rate) @ block.axes.T
     out = np.empty((len(force), block.size, FUNCTIONS))
     out[:, :, CONSTANT] = 1.0
     out[:, :, RATE], out[:, :, FORCE] = rate[:, None], force[:, None]
     out[:, :, PRODUCTS] = (force[:, _FIRST] * force[:, _SECOND])[:, None]
-    out[:, :, OWN_SIZE], out[:, :, OWN_CUBE] = np.abs(own), own**3
+    out[:, :, OWN_SIZE], out[:, :, OWN_CUBE] = np.abs(along), along**3
     return out
 
 
@@ -246,11 +246,11 @@ def readings(block: Block, K: Array, force: Array, rate: Array) -> Array:
     out = _along(measured, K[:, linear]) + K[:, CONSTANT]
     if is_linear(block, K):
         return out
-    own = _along(measured, block.axes)
+    along = _along(measured, block.axes)
     out += _along(other, K[:, RATE if linear == FORCE else FORCE])
     if np.any(K[:, PRODUCTS]):
         out += _along(force[..., _FIRST] * force[..., _SECOND], K[:, PRODUCTS])
-    return np.asarray(out + np.abs(own) * K[:, OWN_SIZE] + own * own * own * K[:, OWN_CUBE])
+    return np.asarray(out + np.abs(along) * K[:, OWN_SIZE] + along * along * along * K[:, OWN_CUBE])
 
 
 def _along(vectors: Array, axes: Array) -> Array:

@@ -434,7 +434,7 @@ def prior_sizes(
     Notes
     -----
     MEMS have no prior of straight drifts. Their biases vary as much as they drift, and their in-run process includes
-    the drift. A straight line besides would be fitted first, and leave what is not straight to scale factors and axes:
+    the drift. A straight line in addition would be fitted first, and leave the curved part to scale factors and axes:
     |f| of the next session of 8 chips in 72 sessions is then 1.1 times that of the linear model, and 1.0 without.
     Tactical and navigation instruments drift by more than they vary, and keep the line."""
     sizes = usual_sizes(grade) if usual is None else dict(usual)

@@ -1,6 +1,6 @@
 """Observations of a simulated session, made from the truth without a log, in about a millisecond.
 
-    scenario = scenario_of(setup, rng)                   or a `Scenario` of one's own
+    scenario = scenario_of(setup, rng)                   or another `Scenario`
     observations = simulate_observations(scenario, rng)
     estimate = joint(observations)                       or any other method; compare with scenario.truth
 
@@ -144,8 +144,8 @@ def _turns(
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
     """Return the turns (K,), not yet integrated, and their samples.
 
-    The first step of a turn needs AHEAD samples before it, as if it turned already. All have white noise except those
-    of the gyros ahead."""
+    The first step of a turn needs AHEAD samples before it, as if it were already turning. All have white noise except
+    those of the gyros ahead."""
     (accel, gyro), first, T = sensors, course.first, course.seconds
     K, n, S, before = len(first), gyro.block.size, SAMPLES + AHEAD, course.attitudes[first]
     to_body, to_force = onto_body(gyro.block.axes), onto_body(accel.block.axes)
@@ -215,7 +215,7 @@ def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array, l
     """Return the mean upward vertical in the body (K, SAMPLES + AHEAD, 3) over each sample, `late` by some s.
 
     Turns are from attitudes `start` through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are
-    before the turn, as if it turned already. With the axis n in the body, the rate ω of the turn and the Earth's Ω m,
+    before the turn, as if already turning. With the axis n in the body, the rate ω of the turn and the Earth's Ω m,
 
         exp(−[n×] ωt) L₀ᵀ exp([m×] Ωt) e_U,   exp([n×] θ) = Σ_p P_p(n) e^{ipθ},   p = −1, 0, 1
 

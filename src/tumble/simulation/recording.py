@@ -182,10 +182,10 @@ def _panels(scenario: Scenario, total: float, passed: float, samples: int) -> Ar
     """Return the ends of the quadrature panels of a piece of a move, in samples from its start: those of every sample,
     of quarters of the vibration's cycle, and of the ramps."""
     profile, vibration = scenario.profile, scenario.vibration
-    each = 1
+    per_sample = 1
     if vibration.amplitude > 0.0:
-        each += math.ceil(_PANELS_PER_CYCLE * vibration.frequency / scenario.setup.sample_rate)
+        per_sample += math.ceil(_PANELS_PER_CYCLE * vibration.frequency / scenario.setup.sample_rate)
     T = profile.duration(total)
     kinks = np.array([0.0, profile.ramp, T - profile.ramp, T]) * scenario.setup.sample_rate - passed
     inside = kinks[(kinks > 0.0) & (kinks < samples)]
-    return np.unique(np.concatenate([np.arange(samples * each + 1) / each, inside]))
+    return np.unique(np.concatenate([np.arange(samples * per_sample + 1) / per_sample, inside]))

@@ -157,7 +157,7 @@ def draw_thermal(
 ) -> dict[str, float]:
     """Draw true values of parameters over temperature by name, Gaussian with the standard deviations of a set-up, SI.
 
-    Those that the set-up does not have are of its grade; hysteresis is drawn only if the set-up has it."""
+    Those missing from the set-up are of its grade; hysteresis is drawn only if the set-up has it."""
     truth: dict[str, float] = {}
     for group in FURTHER:
         usual = group.variable in THERMAL and group.usual

@@ -368,8 +368,8 @@ class _SessionData:
     def models(self, values: Array) -> tuple[SensorModel, SensorModel]:
         """Return the models of accelerometers and gyros, the latter perfect if there are none."""
         accel, *gyro = self.blocks
-        own = len(accel.names)
-        return model_of(accel, values[..., :own]), model_of(gyro[0], values[..., own:]) if gyro else PERFECT_TRIAD
+        count = len(accel.names)
+        return model_of(accel, values[..., :count]), model_of(gyro[0], values[..., count:]) if gyro else PERFECT_TRIAD
 
     def turned(self, values: Array) -> _Turned | None:
         """Integrate the turns about the gyro model of values (m,); raise ProgrammeError unless they determine the
@@ -440,8 +440,8 @@ class _SessionData:
             kind, axes = block.kind, to_sensors(block)
             noise: Array = getattr(rests, f"{kind}_covariance")
             yield source(f"{kind}.noise", typical_noise(noise), unit), place, axes.T @ noise @ axes
-            own, sensors = sensors[: block.size], sensors[block.size :]
-            by_one = np.broadcast_to(axes.T @ np.diag(own**2) @ axes, noise.shape)
+            factors, sensors = sensors[: block.size], sensors[block.size :]
+            by_one = np.broadcast_to(axes.T @ np.diag(factors**2) @ axes, noise.shape)
             for name, what in (("scatter", kind), ("in_run", f"{kind}_in_run")):
                 size = float(getattr(components, what))
                 yield source(f"{kind}.{name}", size, unit), place, size**2 * by_one

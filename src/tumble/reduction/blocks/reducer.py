@@ -124,8 +124,8 @@ class Reduction:
     `samples`: the samples for the turns, None without gyros. `lost`: lost samples by long intervals, without those that
     were bridged on reading. `repeated_rows`: rows in which all accelerometers and gyros repeat the row before. `gaps`:
     gaps of the log. `blemishes`: blocks with bad samples, which have no weight. `tuning`: thresholds of the search for
-    rests and bad samples. `clock_rate`: seconds per second of the log's clock, which times are given by; intervals of
-    samples are in true seconds."""
+    rests and bad samples. `clock_rate`: true seconds per second of the log's clock. Times are by this clock, intervals
+    of samples in true seconds."""
 
     rate: float
     files: tuple[FileBlocks, ...]
@@ -154,8 +154,8 @@ class Reduction:
     def held(self) -> int:
         """Number of repeated rows, if they are more than coarse channels have by chance, else 0.
 
-        They are if hardly any channel repeats without all the others, or if channels that repeat independently in a
-        `held_share` of the log would rarely do so together."""
+        Rows are held if hardly any channel repeats without all the others, or if channels that repeat independently in
+        a `held_share` of the log would rarely do so together."""
         channels = self.accel_channels + self.gyro_channels
         samples, fewest = channels[0].samples, min(channel.repeats for channel in channels)
         share = self.tuning.held_share * samples
@@ -317,7 +317,7 @@ class Reducer:
             self._stored.append(rates, forces, chunk.dt, spare)
         if chunk.temperature is not None:
             self._temperature.add(chunk.temperature[ends])
-        # rows that are equal to the row before, which the first row of a file does not have
+        # rows that are equal to the row before; the first row of a file has none before it
         readings = (chunk.accel,) if chunk.gyro is None else (chunk.accel, chunk.gyro)
         if self._last:
             self._repeated += all(np.array_equal(v[0], last) for v, last in zip(readings, self._last, strict=True))

@@ -51,7 +51,7 @@ class Tuning:
     short_window: float = _threshold(0.5, "s", "averaging time in such a recording")
     short_margin: float = _threshold(0.1, "s", "smallest margin in such a recording")
     fewest_short: int = _threshold(9, "", "additional rests that make a recording one of short rests")
-    few_share: float = _threshold(0.02, "", "the same for a recording that is mostly motion")
+    few_share: float = _threshold(0.02, "", "least fraction at rest of a recording that is mostly motion")
     moment: float = _threshold(0.2, "s", "shortest moment of rest that is reported if there is no rest", "two blocks")
     # the level of the gyros at rest
     level_blocks: int = _threshold(10, "", "fewest blocks of a stretch that shows the gyro level")
@@ -66,16 +66,16 @@ class Tuning:
     level_drift: float = _threshold(1.0, "°/s", "usual drift of the gyro level over half a log, and usual jump")
     level_attitudes: int = _threshold(
         6, "", "fewest stretches for a level that depends on attitude alone",
-        "four unknowns an axis, and two: a rest on each of six faces")
+        "four unknowns per axis, and two more: a rest on each of six faces")
     level_stretches: int = _threshold(
         8, "", "fewest stretches for a level that depends on time",
-        "five unknowns an axis, and three")
+        "five unknowns per axis, and three more")
     level_share: float = _threshold(2.0 / 3.0, "", "least fraction of all stretches that follow this dependence")
     level_gain: float = _threshold(0.2, "", "least additional fraction that follow it, compared with a simpler one")
     beside_jump: int = _threshold(
         2, "", "fewest stretches on either side of a jump", "one alone may be a turn about the vertical")
     level_uncertainty: float = _threshold(
-        2.0, "", "largest uncertainty of a predicted level, in that of a single level")
+        2.0, "", "largest uncertainty of a predicted level, relative to that of a single level")
     # bad samples in rests
     side: float = _threshold(1.0, "s", "time before and after a block with which it is compared")
     longest_blemish: float = _threshold(
@@ -103,7 +103,7 @@ class Tuning:
     steps_beyond: float = _threshold(3.0, "", "the same, in steps of the resolution", "rounding makes 1.3 at most")
     alone: float = _threshold(
         30.0, "", "ratio of the distance in one channel to those in the others of its kind that makes it bad",
-        "a blow along an axis to 1/30 rad is one of 600 in any direction")
+        "of blows in random directions, one of 600 is along an axis to 1/30 rad")
     violent_velocity: float = _threshold(
         0.5, "m/s", "change of velocity in a sample that makes several channels bad", "no hand does, nor a table")
     violent_angle: float = _threshold(0.1, "", "the same for the attitude, rad", "no hand does, nor a table")

@@ -1,1 +1,1 @@
-"""Noise: of single sensors over averaging time, of the means of rests, and what rounding does."""
+"""Noise of single sensors over averaging time, noise of the means of rests, and the effect of rounding."""

@@ -14,7 +14,7 @@ be underestimated by a third. A rest that is significantly noisier or quieter th
 Correlation between channels is that of the innovations.
 
 A rest more than LONG_RATIO times as long as most, such as the first one by hand, contains drift that the others are too
-short for, and which would count as their noise. In the fit of the others it is divided into pieces of their length,
+short to show, and that would count as their noise. In the fit of the others it is divided into pieces of their length,
 without those that are significantly noisier; the long rests have a noise that is fitted to them alone.
 
 A linear drift does not change the mean of a rest, but would count as noise of so long a memory that averaging does not
@@ -40,7 +40,7 @@ LONG_RATIO = 2.0
 STRAIGHT_SIGMAS = 2.3  # standard deviations by which rests have to be straighter than their noise: 1 % by chance
 WHITE = 4.0 / 3.0  # `ColouredNoise.arising` of white noise
 MIN_VARIANCE_RATIO = 1e-3  # to that of white noise: quantisation gives more, rounding errors may give less
-NEGLIGIBLE = 1e-9  # relative autocovariances below count as zero
+NEGLIGIBLE = 1e-9  # relative autocovariance below which it counts as zero
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ quickly another one in every rest:
 with the specific force f and time t from −1 to 1 over the log; s is a jump at a time t₀ between two stretches, made by
 a driver that measures the bias anew, or by a second device in the log. A stretch with quiet accelerometers and steady
 gyros is either a rest or a turn about the vertical (a turn about another axis moves the vertical, which the
-accelerometers show), and only the other stretches can tell which. G, and d or s where needed, are fitted to all
+accelerometers show), and only the other stretches distinguish the two. G, and d or s where needed, are fitted to all
 stretches by the least sum of distances, which is robust against a minority, and a stretch off the level is accepted if
 the fit to the others predicts its level.
 """
@@ -91,7 +91,7 @@ def level_function(
     if fits.all():
         return None
     in_order = np.sort(at)[tuning.beside_jump - 1 : len(at) + 1 - tuning.beside_jump]
-    steps = 0.5 * (in_order[1:] + in_order[:-1]) if len(off) >= tuning.beside_jump else ()  # else one a rest
+    steps = 0.5 * (in_order[1:] + in_order[:-1]) if len(off) >= tuning.beside_jump else ()  # one may be a turn
     stepless, candidates = fits, [(_G, np.inf), (_G_AND_DRIFT, np.inf)]
     for trial, step in [*candidates, *((trial, step) for step in steps for trial in (_STEP, _G_AND_STEP))]:
         rows[:, 5] = usual[4] * (at > step)
@@ -108,10 +108,10 @@ def level_function(
     coefficients[columns] = _least_squares(regressors[fits], level[fits])[0]
     coefficients[1:] *= usual[:, None]
     accepted: list[list[Span]] = [[] for _ in rates]
-    few = len(stretches) < tuning.level_stretches  # each stretch then has a large influence on the fit
+    is_sparse = len(stretches) < tuning.level_stretches  # each stretch then has a large influence on the fit
     for n, (k, i, j) in enumerate(stretches):
         accept = bool(fits[n])
-        if accept and (few or n >= len(at_level)):  # do the others determine its level, and is it there?
+        if accept and (is_sparse or n >= len(at_level)):  # do the others determine its level, and is it there?
             others = fits & (np.arange(len(fits)) != n)
             predicted, normal = _least_squares(regressors[others], level[others])
             leverage = float(regressors[n] @ np.linalg.solve(normal, regressors[n]))
@@ -119,7 +119,7 @@ def level_function(
             accept = leverage < tuning.level_uncertainty**2 and distance < limit * math.sqrt(1.0 + leverage)
         if accept:
             accepted[k].append((i, j))
-        elif few:
+        elif is_sparse:
             return None
     return LevelFunction(
         g_sensitivity=coefficients[1:4].T,

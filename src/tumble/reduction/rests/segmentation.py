@@ -227,9 +227,9 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
     n_short = sum(r.fails == "duration" and r.stop - r.start >= tuning.short_rest for r in usual.rejected)
     if not usual.rests and not n_short:
         # lower floors, for a device that moves most of the time
-        few = _RestSearch(reduction, accel, gyro, replace(tuning, quiet_share=tuning.few_share)).run()
-        if few.rests:
-            return replace(few, tuning=tuning)
+        low_floors = _RestSearch(reduction, accel, gyro, replace(tuning, quiet_share=tuning.few_share)).run()
+        if low_floors.rests:
+            return replace(low_floors, tuning=tuning)
         shortest = replace(tuning, window=tuning.moment, rest=tuning.moment, margin_least=0.0, margin_fraction=0.0)
         moments = _RestSearch(reduction, accel, gyro, shortest).run().rests
         rejected = tuple(Stretch.too_short(reduction.by_file[r.file], (r.first, r.last), tuning) for r in moments)

@@ -1,1 +1,1 @@
-"""Turns from rest to rest: integrals over their samples, and what these say of parameters."""
+"""Turns from rest to rest: integrals over their samples, and the sensitivities of these to parameters."""

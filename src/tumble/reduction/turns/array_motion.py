@@ -30,7 +30,7 @@ from tumble.sensors.parameters import PAIRS
 from tumble.units import Array, BoolArray
 
 FEWEST = 7  # accelerometers that determine more than the force and the angular acceleration
-SLOWEST = 4.0  # (rad/s)²: slower motion does not show lever arms
+SLOWEST = 4.0  # (rad/s)²: slower motion does not determine lever arms
 SAMPLES_PER_COLUMN = 10  # fewest samples in motion per component of x
 CLASSES, QUIETEST = 64, 1e-6  # classes of residual mean square, (m/s²)², each √2 times the one before, from QUIETEST
 BATCH_SAMPLES = 2**14
@@ -111,7 +111,7 @@ def _in_motion(
     at_rest: Array,
 ) -> Iterator[Array]:
     """Yield x (m, c) of the moving samples, batch by batch, that are usable and have usable neighbours: those at the
-    usual interval whose gyros agree, or, for three gyros, repeat nothing."""
+    usual interval whose gyros agree, or, for three gyros, do not repeat a reading."""
     accel, gyro = blocks
     redundant = accel.size - 3
     batches = [(start, first, stop) for start, stop in parts for first in range(start, stop, BATCH_SAMPLES)]

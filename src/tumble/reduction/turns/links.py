@@ -38,7 +38,7 @@ PARTS = 4  # parts of a link in which its sensitivities are integrated
 NODE_SECONDS = 0.5  # s from node to node
 SHORTEST_LINKED = 3.0  # s: longer motion between two rests is cut into links; shorter motion is a turn
 NORMAL_MEDIAN = 0.4549  # median of the square of a standard normal variable
-QUIET_SHARE = 0.25  # quantile of the links that shows the noise of the samples: fast motion adds to the others
+QUIET_SHARE = 0.25  # quantile of the noise over links that is taken for that of the samples: fast motion adds noise
 EDGE_WEIGHTS = np.array([-1.0, 7.0, 7.0, -1.0]) / 12.0
 """Weights of the means of two blocks before and two after an edge for the value at the edge, to fourth order."""
 
