@@ -25,10 +25,8 @@ if TYPE_CHECKING:
 @click.argument("calibration", type=params.FILE)
 @click.argument("readings", type=params.PATH, required=False)
 @params.option("--listen", "Check with a stream instead: file:LOG.csv, stdin, udp:PORT, serial:DEVICE:BAUD, …")
-@params.option(
-    "--session", "Session that describes columns and units of a stream that does not send SI.", type=params.PATH
-)
-@params.registry("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
+@params.option("--session", "Session that describes columns and units of the stream; default: SI.", type=params.PATH)
+@params.registry("Registry with calibrations of the device, which show its changes from launch to launch.")
 @params.JSON
 def check(
     calibration: Path, readings: Path | None, listen: str | None, session: Path | None, registry: str | None
