@@ -1,6 +1,6 @@
-"""End of a command by an error of the program: one line, the traceback in a file, and an exit status of its own.
+"""Handling of errors of the program: one line on standard error, the traceback in a file, and exit status 70.
 
-The module also handles a failed start, and imports nothing that takes time or memory.
+The module also handles a failed start, so it imports nothing that takes time or memory.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ STOPPED = 130  # exit status of a command that the user has stopped (Ctrl-C)
 
 
 def ended_by(error: BaseException) -> int:
-    """Print in one line on standard error what has ended a command, and return the exit status."""
+    """Print one line on standard error about the exception that ended a command, and return the exit status."""
     if isinstance(error, KeyboardInterrupt):
         print("tumble: stopped", file=sys.stderr)  # noqa: T201
         return STOPPED
