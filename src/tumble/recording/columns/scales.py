@@ -37,8 +37,8 @@ _LISTED_COUNTS_SHARES = 0.03, 0.75
 class SensorScale:
     """Reading of a sensor for an input of one g or one °/s.
 
-    `value` is the reading, of an increment that for one second; `unit` is None for counts; `shares` are the frequencies
-    among logs with fractions and among logs of whole numbers; `listed` and `common` describe the entry in the table."""
+    `value` is the reading, or its sum over one second; `unit` is None for counts; `shares` are the frequencies among
+    logs with fractions and among logs of whole numbers; `listed` and `common` describe the entry in the table."""
 
     value: float
     unit: str | None = None
@@ -104,7 +104,7 @@ _STEPS = (
 )
 """Resolutions of data sheets, °/s per count."""
 _MOST_DECIMALS = 9
-_ROUNDING_LIMIT = 0.2  # of a step; readings rounded more coarsely do not show it
+_ROUNDING_LIMIT = 0.2  # of a step; in readings rounded more coarsely it cannot be recognised
 _MULTIPLES_SHARE = 0.99  # of the readings
 _CHANCE_LIMIT = 20.0  # −ln of the probability that the readings are multiples by chance, at least
 _SINGLE_PRECISION = 1e-6  # of the largest reading
@@ -112,7 +112,7 @@ _WRITTEN_DIGITS = 6  # significant digits that programs write by default
 
 
 def resolution_in_deg_s(readings: Array) -> float | None:
-    """Return the resolution of a data sheet, °/s, of which the readings (N, 3) are multiples; None if of none."""
+    """Return the resolution of a data sheet, °/s, of which the readings (N, 3) are multiples; None without one."""
     values = [np.unique(column[np.isfinite(column)]) for column in readings.T]
     if min(map(len, values)) < 2:
         return None

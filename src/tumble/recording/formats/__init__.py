@@ -2,8 +2,8 @@
 
 A recording is a list of `Message` kinds (a topic of a bag, a message of a flight log, a group of arrays), each with the
 sensors found in it and their units. `write_log` writes one kind, or accelerometers and gyros of two kinds, as one
-Parquet file for a session. Each format has a reader, behind the extra `formats`; a ROS 2 bag may also be a folder, and
-a log of ArduPilot a text. Other packages provide further readers (`tumble.plugins`).
+Parquet file for a session. Each format has a reader, which needs the extra `formats`; a ROS 2 bag may also be a folder,
+and a log of ArduPilot a text. Other packages provide further readers (`tumble.plugins`).
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class Reader:
     endings
         Endings of the names of its files, in lower case and with the dot.
     messages
-        Returns the kinds of messages in a file. Any error of it is reported as a damaged file.
+        Function that returns the kinds of messages in a file. Its errors are reported as a damaged file.
     """
 
     endings: tuple[str, ...]
@@ -197,12 +197,10 @@ def _intact(path: Path) -> Iterator[None]:
         raise
     except OSError as error:
         raise InputError(f"{path}: expected a readable file, found: {error.strerror or error}") from None
-    except Exception as error:  # each reader's library has errors of its own, and struct.error, IndexError and more
+    except Exception as error:  # the libraries raise their own errors, struct.error, IndexError and more
         is_program_error = isinstance(error, PROGRAM_ERRORS)
         last = [str(frame.f_globals.get("__name__")) for frame, _ in walk_tb(error.__traceback__)][-2:]
-        here = any(
-            name.startswith("tumble.recording.formats.") for name in last
-        )  # a field that a message does not have
+        here = any(name.startswith("tumble.recording.formats.") for name in last)  # a message lacks a field
         if is_program_error and not isinstance(error, LookupError) and here:
             raise
         words = type(error).__name__ if is_program_error else " ".join(str(error).split()) or type(error).__name__
@@ -217,9 +215,9 @@ def _intact(path: Path) -> Iterator[None]:
 def write_log(path: Path, accel: Message, gyro: Message | None = None, thermometers: Sequence[Message] = ()) -> None:
     """Write the rows of a message with accelerometers, and of another one with the gyros, to a Parquet file.
 
-    Accelerometers of another message than the gyros, and the temperatures beside them, are interpolated linearly at the
-    times of the gyros, which are integrated, over the time that both cover. Temperatures of separate messages are
-    interpolated too, with the nearest one before and after."""
+    Accelerometers of another message than the gyros, and their temperatures, are interpolated linearly at the times of
+    the gyros, because gyros are integrated, over the time that both cover. Temperatures of separate messages are
+    interpolated too, and constant beyond their ends."""
     slow = [*thermometers] if gyro in (None, accel) else [accel, *thermometers]
     slow_tables = [(message.columns, pl.concat(message.rows())) for message in slow]
     tables = accel.rows()

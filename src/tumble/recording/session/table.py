@@ -1,4 +1,4 @@
-"""Common parts of the tables of session.toml: strict keys and types, and checks of values."""
+"""Base class of the tables of session.toml, with strict keys and types, and checks of values."""
 
 from __future__ import annotations
 
