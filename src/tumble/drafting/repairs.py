@@ -1,6 +1,5 @@
-"""Repaired copies of logs with properties that a session file cannot express: 16-bit numbers read as unsigned, times in
-ticks, intervals or seconds and nanoseconds, counters that overflow, rows that are no samples, and successive
-positions."""
+"""Repaired copies of logs that a session file cannot describe: 16-bit numbers read as unsigned, times in ticks,
+intervals or seconds and nanoseconds, counters that overflow, rows that are no samples, and successive positions."""
 
 from __future__ import annotations
 

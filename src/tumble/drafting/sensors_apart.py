@@ -91,8 +91,7 @@ def _belong_together(accel: Message, gyro: Message) -> bool:
 
 
 def _nearest_thermometers(accel: Message, gyro: Message | None, separate: Sequence[Message]) -> list[Message]:
-    """Return a thermometer each for accelerometers and gyros, or the one with the topic most like the
-    accelerometers'."""
+    """Return one thermometer for each kind of sensor, or the one with the topic most like the accelerometers'."""
     topic = accel.name.split("/")
     nearest = sorted(separate, key=lambda m: -len(list(takewhile(bool, map(eq, m.name.split("/"), topic)))))
     first = {m.temperatures: m for m in reversed(nearest)}

@@ -18,7 +18,7 @@ from tumble.result.record import CalibrationData, reference_of_parameter
 from tumble.sensors.parameters import OVER_TEMPERATURE, units_of
 from tumble.units import Array
 
-_LEAST_SPAN = 0.05  # K, of the temperatures of rests that show coefficients
+_LEAST_SPAN = 0.05  # K, least span of temperatures of rests that determines coefficients
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,7 +51,7 @@ def temperature_of(rest: RestResult, kind: str) -> float:
 
 
 def thermometer_notes(calibration: CalibrationData) -> list[str]:
-    """Return a sentence on which thermometer belongs to which sensor, if there are several."""
+    """Return a sentence that assigns thermometers to sensors, if there are several."""
     if len(set(chain(*calibration.temperature.thermometers.values()))) < 2:
         return []
     sentence = "the temperature of each sensor, and its reference, is that of its own thermometer"

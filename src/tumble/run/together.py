@@ -1,8 +1,8 @@
 """Several sessions of one device over temperature as one estimate.
 
 Parameters and their temperature coefficients are common to all sessions. Each session has its own attitudes, and its
-own changes of the biases from launch to launch and drifts, both with priors. A session without turns shows only how the
-biases change with its temperature.
+own changes of the biases from launch to launch and drifts, both with priors. A session without turns determines only
+the changes of the biases with its temperature.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def calibrate_together(
         if each.rests.temperature is None:
             raise InputError(f"{session.name}: expected temperatures in the log, found none that are numbers")
     joint_observations = join_sessions(observations, [member.session for member in members], numbers)
-    # the errors of all clocks are taken as one, with the largest u of the sessions with turns
+    # all clocks have one common error, with the largest u of the sessions with turns
     turned = [session.log for session, member in zip(described, members, strict=True) if member.turns]
     clock = max(turned or [session.log for session in described], key=lambda log: log.time_base_u)
     first = replace(first, log=replace(first.log, clock_u=clock.clock_u))
