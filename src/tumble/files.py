@@ -13,7 +13,7 @@ from pathlib import Path
 from tumble.errors import InputError
 
 FilePath = str | os.PathLike[str]
-"""Path of a file or folder, as public functions take it."""
+"""Path of a file or folder in arguments of public functions."""
 
 
 @contextmanager

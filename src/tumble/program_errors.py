@@ -28,7 +28,7 @@ def ended_by(error: BaseException) -> int:
 LEAST_MEMORY = {"RLIMIT_AS": (1.6e9, "v"), "RLIMIT_DATA": (0.5e9, "d")}
 """Bytes of address space and of data, with the option of `ulimit` for each. Reading a recording of 3 MB maps 1.59 GB,
 0.41 GB of it data and 0.2 GB used, with one thread of polars, and 5 MB of each for every further thread. With less,
-polars or matplotlib may abort the process or wait for ever."""
+polars or matplotlib may abort the process or wait forever."""
 
 
 def check_memory_limits() -> None:

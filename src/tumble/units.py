@@ -88,7 +88,7 @@ def fitting_units(read: npt.ArrayLike, sizes: Mapping[str, float]) -> list[str]:
 TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4, "mgauss": 1e-7, "T": 1.0}
 """Units of a magnetic field, T."""
 MAGNETIC_UNITS = tuple(TESLA)
-"""Units of a magnetometer. They are not converted, since nothing else is measured in them."""
+"""Units of a magnetometer. They are not converted, because no other quantity has them."""
 
 TEMPERATURE_UNITS = {"degC": (1.0, 0.0), "K": (1.0, -ZERO_CELSIUS), "degF": (5.0 / 9.0, -160.0 / 9.0)}
 """Gain and shift to °C: gain · number + shift."""

@@ -28,8 +28,8 @@ NEARLY_DONE = 10.0 * DEGREE  # rad, from the end of a turn
 _SETTLING_DRIFT = 20.0  # in units of u, drift over a rest that noise does not explain; white noise gives √12
 _TRACE_BLOCKS = 600
 MAX_FORECAST = 9.0
-"""Longest forecast of the end of a rest, in units of its duration. u is known to about 20 % from its beginning, so the
-time that it needs, in proportion to u², only to about half."""
+"""Longest forecast of the end of a rest, in units of its duration. At its beginning u is known to about 20 %, so the
+required time, proportional to u², only to about half."""
 _FURTHER_RESTS = 5  # for which the improvement of the estimate is predicted by the root of the number of rests
 
 WAITING: Screen = {"screen": "waiting", "headline": "Waiting for data", "fault": None}

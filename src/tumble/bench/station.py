@@ -37,7 +37,7 @@ _LONG_COMMANDS = {
     "export": "exporting",
     "register": "registering",
 }
-"""Commands that take long, during which the page goes on. All but the first need a result."""
+"""Slow commands, during which the page is still updated. All but the first need a result."""
 
 
 class Station:

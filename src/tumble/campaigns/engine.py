@@ -35,7 +35,7 @@ MANIFEST = "manifest.json"
 
 Row = Mapping[str, Any]
 Progress = Callable[[int, int], None]
-"""Function of the number of tasks that are done and of all tasks."""
+"""Function of the number of finished tasks and the number of all tasks."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

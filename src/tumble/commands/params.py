@@ -175,7 +175,7 @@ COLUMNS = _group(
 )
 """Options that describe the columns of a log without a session."""
 LOG = _group(SERIAL, LATITUDE, HEIGHT, COLUMNS)
-"""Options from which, with a log, a session is made."""
+"""Options for making a session of a log."""
 
 
 def given_of(options: dict[str, Any]) -> Given:
@@ -236,7 +236,7 @@ CLUSTER = _group(
     option("--cluster", "Compute on an existing dask cluster.", metavar="tcp://HOST:PORT"),
     click.option("--in-process", "serial", is_flag=True, help="Compute in this process."),
 )
-"""Options on where many tasks are computed, and their folder."""
+"""Options of the folder of many tasks, and of where they are computed."""
 
 
 class Knowledge(Protocol):

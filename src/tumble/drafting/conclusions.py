@@ -99,12 +99,12 @@ def _doubts_of_units(
     for kind, sensors, scale in ((ACCEL, "accelerometers", best.accel), (GYRO, "gyros", best.gyro)):
         if scale is None or kind not in draft.triads:
             continue
-        alone = "the accelerometers alone are calibrated, " if ACCEL in draft.triads else ""
+        only = "the accelerometers alone are calibrated, " if ACCEL in draft.triads else ""
         scales = [h.accel if kind == ACCEL else h.gyro for h in rivals if kind in h.differs(best)]
         others = " or ".join(dict.fromkeys(rival.label for rival in scales if rival is not None and rival.listed))
         if log[kind]["unit"] == "count" and "scale" not in log[kind]:
             yield (
-                f"no turn tells what the gyros' counts are worth: {alone}noise is as if one were 1 deg/s; put the data "
+                f"no turn tells what the gyros' counts are worth: {only}noise is as if one were 1 deg/s; put the data "
                 "sheet's scale into [log.gyro]"
             )
         elif others and draft.unit(kind) is None:

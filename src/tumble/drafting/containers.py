@@ -25,7 +25,7 @@ _START_BYTES = 4096
 _BINARY = re.compile(rb"[\x01-\x08\x0e-\x1a\x1c-\x1f\x7f]")
 _BINARY_SHARE = 0.02  # of the bytes of a text, at most
 NAMED = (".parquet", ".gz", ".zst")
-"""Endings of files that are no text, beside those of recordings."""
+"""Endings of binary files other than recordings."""
 _FORMATS = tomllib.loads((Path(__file__).parent / "formats.toml").read_text(encoding="utf-8"))
 
 

@@ -48,7 +48,7 @@ _ALIKE_SHARE = 0.8  # of the first lines
 ParsedLine = tuple[str, tuple[str, ...], Sequence[str]]
 """Kind of a line in words, names of its columns, empty if it has none, and its values."""
 Rows = Iterator[tuple[str, Sequence[str]]]
-"""Sensor of each row, "" for all together, and its values."""
+"""Sensor of each row, "" for all sensors, and the values of the row."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -65,13 +65,13 @@ _NO_OFFSET, _LEAST_SINGULAR, _ALIKE = 0.3, 0.05, 0.05  # of gravity; of the larg
 _LENGTH_IN_MOTION_U = 0.2
 """Relative standard uncertainty of gravity as the median magnitude of accelerometers that are never at rest."""
 _UNEVEN, _CENTRE_STEPS = 0.01, 4
-"""Relative differences of readings of one g between attitudes, beside the offsets; Gauss–Newton steps."""
+"""Relative differences of readings of one g between attitudes, without offsets; number of Gauss–Newton steps."""
 _TURN_QUANTILE = 0.8  # of the readings in a turn; it represents the middle of the turn
 _RATE_FACTORS = 0.25, 1.0, 4.0
-"""Times the assumed rate, at which rests are sought where the rate is unclear; too high a one makes them too short."""
+"""Multiples of the assumed rate at which rests are sought if the rate is unclear; too high a rate shortens rests."""
 _LN_RATE_RANGE = math.log(RATE_LIMITS[1] / RATE_LIMITS[0])
 COUNTS = SensorScale(value=1.0, shares=(1.0, 1.0))
-"""Counts of gyros in a recording without turns, of any worth."""
+"""Counts of unknown scale, of gyros in a recording without turns."""
 _ZERO = 0.1  # of gravity: standard deviation of the zero of accelerometers in a unit
 _NAMED_RAW_SHARE = 0.1  # share of sensors named as raw that are in a unit, such as `gyroADC` of Betaflight
 _FEWEST_COUNTS = 2.0  # per g, of accelerometers in counts

@@ -47,7 +47,7 @@ from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TEMPERATURE_UNITS
 _FAST_QUANTILE = 0.99  # of the magnitudes of the gyros, without single outliers
 _RATE_TOLERANCE = 0.01  # u of a sample rate without time stamps
 _MEAN_SECONDS, _FEWEST_MEANS, _GRAVITY_SHARE = 2.0, 3, 0.4
-"""Means over so long, of which at least so many, keep more than this share of readings that contain gravity."""
+"""Duration of means, s, their least number, and the share of the readings that they keep if these contain gravity."""
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": (15e-6, 150e-6)}
 """Magnetic fields on Earth, with iron nearby."""
 _SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEGREE)}

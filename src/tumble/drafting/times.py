@@ -32,7 +32,7 @@ USUAL_RATES = {rate: -2.0 * math.log(weight / sum(_WEIGHTS.values())) for rate, 
 """Cost of each usual rate, Hz."""
 UNUSUAL_SHARE = 0.03  # share of logs with a rate that is not listed
 _TICKS_SHARE, _COUNTS_SHARE = 0.02, 0.4
-"""Shares of whole numbers without a unit that are ticks of a clock, and of those growing by one that count samples."""
+"""Share of whole numbers without a unit that are clock ticks; share of those growing by one that count samples."""
 _UNIT_COSTS = {"s": 0.0, "ms": 0.5, "us": 1.0, "ns": 1.5, "min": 6.0, "h": 8.0}
 _USUAL_BAND = 10.0, 2000.0  # Hz
 _UNUSUAL_RATE_COST, _SHORT_LOG_COST = 5.0, 8.0
@@ -173,7 +173,7 @@ def grows_mostly(values: Array) -> bool:
 
 
 _OVERFLOWS = (3600.0, 65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
-"""An hour, and 2^16, 2^24 and 2^32 in the unit of the stamps, in thousands or in millions of it."""
+"""Numbers at which counters overflow: an hour, 2^16, 2^24 and 2^32, in the stamps' unit, its thousands or millions."""
 _MOST_OVERFLOWS = 10_000
 _LOST_AT_RESTART = 50  # samples that may be lost where a counter overflows
 _MOST_RECORDINGS, _SHORTEST_RECORDING = 50, 50  # recordings in a log; rows

@@ -49,7 +49,7 @@ from tumble.units import DEGREE, TESLA, Array
 
 MIN_CHANGE = 0.01  # offsets (m/s², rad/s) and changes of scale below this are ignored by some releases of PX4
 _HELD = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") for t in OVER_TEMPERATURE)
-"""Groups that the targets over temperature hold."""
+"""Groups of parameters in the targets over temperature."""
 
 
 class Autopilot(BaseModel):

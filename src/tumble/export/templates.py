@@ -325,7 +325,7 @@ FUNCTIONS: Mapping[str, Callable[..., Array]] = {
     "cardan_angles": cardan_angles,
     "cardan_matrix": cardan_matrix,
 }
-"""Functions in expressions."""
+"""Functions for the expressions of templates."""
 
 
 def front_of(layout: str) -> dict[str, Any]:

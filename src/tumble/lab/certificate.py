@@ -60,7 +60,7 @@ _Country = Annotated[_Str, Field(pattern="^[A-Z]{2}$", description="two capital 
 _Path = Annotated[_Str, Field(min_length=1)]
 
 _ACCREDITED = ("procedure", "traceability", "issued")
-"""Keys that a certificate under accreditation needs (ISO/IEC 17025, 7.8)."""
+"""Keys required in a certificate under accreditation (ISO/IEC 17025, 7.8)."""
 
 
 class _CertificateTable(BaseModel):

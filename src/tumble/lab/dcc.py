@@ -55,7 +55,7 @@ _UNITS |= {"hPa": "hecto\\pascal"}
 _FACTOR = re.compile(r"(?P<over>[*/]|^)(?P<unit>[A-Za-z%]+|1)(?:\^(?P<power>\d))?")
 _CONFORMITY = {"conditional pass": "conditionalPass", "conditional fail": "conditionalFail"}
 _CONFORMITY |= {result: result for result in ("pass", "fail")}
-"""Results in the schema, which has none for undecided."""
+"""Results by their names in the schema, which has none for undecided."""
 
 U_DIGITS = 3  # digits of u and U: two significant digits, and one that makes rounding negligible
 

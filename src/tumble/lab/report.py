@@ -79,7 +79,7 @@ TONES: Mapping[Result, Tone] = {
 _RULE = f"{DECISION_RULE[0].upper()}{DECISION_RULE[1:]}. {RISK_DEFINITION[0].upper()}{RISK_DEFINITION[1:]}."
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 _FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
-"""Clauses with one of these name keys, commands or options, or give advice, and have no place in a certificate."""
+"""Marks of clauses with keys, commands, options or advice, which are left out of certificates."""
 
 
 def write_judged_report(

@@ -17,11 +17,11 @@ from pathlib import Path
 from threading import Lock, get_native_id
 
 COMMAND_LINE: ContextVar[bool] = ContextVar("COMMAND_LINE", default=False)
-"""Whether this is the thread of a command."""
+"""Whether the current thread runs a command."""
 _REDIRECTION = Lock()
 _STANDARD_ERROR = 2
 PANIC_SECONDS = 0.1, 2.0
-"""Time that stopping threads may take to begin printing, and to end, s."""
+"""Times allowed for stopping threads to begin printing and to end, s."""
 _PANIC_MARK = b" panicked at "
 
 

@@ -128,7 +128,7 @@ Parameters = Annotated[
 ]
 
 FEWEST_DEGREES = 0.99
-"""Degrees of freedom of a stated U at least: one, as of two readings, but for rounding. With fewer, t exceeds 14."""
+"""Least degrees of freedom of a stated U: one, as of two readings, less rounding. With fewer, t exceeds 14."""
 
 
 def stated_factor(degrees: float | None) -> float | None:

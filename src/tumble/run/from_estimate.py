@@ -44,8 +44,8 @@ LAGS = {"accel.lag": "accelerometers", "gyro.lag": "gyros"}
 SIGNIFICANT_SLOPE = 3.0  # u, of a slope over temperature
 GAPS_SHOWN = 5
 ONE_RATE = 1.3
-"""Ratio of the largest to the smallest rms rate of turns below which they count as one rate: for other rates, scale
-factors that change with the square of the rate would be known seven times worse."""
+"""Ratio of the largest to the smallest rms rate of turns, below which they count as one rate: extrapolated to other
+rates, scale factors that change with the square of the rate would be seven times less certain."""
 
 
 def build_calibration(

@@ -71,7 +71,7 @@ REST_GROUPS = tuple(
     for group in FURTHER
     if group.kind == "accel" and (group.regressors is not None or group.variable == "time")
 )
-"""Groups of parameters that readings at rest show without a known temperature or motion."""
+"""Groups of parameters that affect readings at rest without a known temperature or motion."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)

@@ -238,22 +238,22 @@ def _mean_parameters(
     np.fill_diagonal(within, variances.sum(axis=0) / count**2)
     parameters = []
     for i, name in enumerate(names):
-        each = [launch[name] for launch in launches]
+        estimates = [launch[name] for launch in launches]
         parts = []
-        for p, C, variance in zip(each, covariances, variances, strict=True):
+        for p, C, variance in zip(estimates, covariances, variances, strict=True):
             dof = None if p.dof is None or C[i, i] == 0.0 else p.dof * float(variance[i] / C[i, i]) ** 2
             parts.append((float(variance[i]), dof))
         run_to_run = float(np.std(values[:, i], ddof=1))
         u, dof = degrees_of_mean(parts, run_to_run, float(np.sqrt(shared_mean[i, i])))
         covariance[i, i] = u**2
-        prior = max((p.prior for p in each if p.prior is not None), default=None)
+        prior = max((p.prior for p in estimates if p.prior is not None), default=None)
         parameters.append(
             Parameter(
                 name=name,
                 value=float(values[:, i].mean()),
                 u=float(np.sqrt(covariance[i, i])),
-                unit=each[0].unit,
-                deviation=_mean_where_known([p.deviation for p in each]),
+                unit=estimates[0].unit,
+                deviation=_mean_where_known([p.deviation for p in estimates]),
                 run_to_run=run_to_run,
                 dof=dof,
                 prior=prior,

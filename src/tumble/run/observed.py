@@ -46,7 +46,7 @@ from tumble.rotation import onto_body
 from tumble.units import DEGREE, IntArray
 
 Progress = Callable[[Log], Iterable[Chunk]]
-"""Function that yields the chunks of a log, for instance to show how far reading is."""
+"""Function that yields the chunks of a log, for instance to show the progress of reading."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)

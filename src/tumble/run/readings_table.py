@@ -44,7 +44,7 @@ LARGEST = 1e30  # of a reading; powers of larger numbers overflow
 COPIES_SHOWN = 3
 RAW = ("V", "count")
 UNITS = {name: ACCEL_UNITS[name].factor for name in ("g", "m/s^2")}
-"""Units of a reading, and of what a scale is per, and their sizes in m/s²."""
+"""Units of a reading, and of the input in a scale, with their sizes in m/s²."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -118,10 +118,10 @@ def calibrate_together(
     estimate = estimate_observations(first, joint_observations, joint, systematic, "full")
     if isinstance(estimate, Outcome):
         return refused_calibration(first, "joint", estimate, provenance)
-    calibration, own = build_calibration(first, *estimate, systematic, frame, provenance), estimate[0].own
-    if own is not None:
-        by_session = zip(own.values.tolist(), own.u.tolist(), strict=True)
-        named = list(zip(own.names, own.units, own.priors.tolist(), strict=True))
+    calibration, session_only = build_calibration(first, *estimate, systematic, frame, provenance), estimate[0].own
+    if session_only is not None:
+        by_session = zip(session_only.values.tolist(), session_only.u.tolist(), strict=True)
+        named = list(zip(session_only.names, session_only.units, session_only.priors.tolist(), strict=True))
         members = [
             replace(
                 member,

@@ -70,7 +70,7 @@ from tumble.use.positions import PositionResiduals, position_residuals, table_ob
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 
 GRADE_DEGREES = 4.0
-"""Degrees of freedom of the variances usual for a grade, which are known to a third."""
+"""Degrees of freedom of the variances usual for a grade: their standard deviations are uncertain by a third."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

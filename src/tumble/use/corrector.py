@@ -30,10 +30,10 @@ from tumble.sensors.model import Block
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray
 
 LONGEST_STEP = 3.5
-"""Largest distance of the neighbours of a sample, in intervals, from which its angular acceleration is taken."""
+"""Largest distance, in intervals, of the neighbours from which the angular acceleration of a sample is computed."""
 CLOCK_RESTART = 1.0
-"""s. A stamp that is earlier than the last one by more shows that the clock has restarted; a sample that is less late
-is dropped."""
+"""s. If a stamp is earlier than the last one by more, the clock has restarted; a sample that is less late is
+dropped."""
 MARGIN = 0.1
 """Relative margin of the calibrated rate and force, for noise and vibration."""
 _ROWS = 1 << 12

@@ -41,7 +41,7 @@ from tumble.units import ZERO_CELSIUS, Array
 CHANCE = 0.01
 """Probability that the largest difference refutes a good calibration."""
 _OVER_TEMPERATURE: dict[Variable, int] = {variable: power for power, variable in enumerate(THERMAL, 1)}
-"""Powers of temperature by the variable that has them."""
+"""Powers of temperature by name of the variable."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 from tumble.lab.limits import Limits, Occasion, parse_limits
 
 State = Literal["as-found", "as-left", "unchanged"]
-"""Calibrated before an adjustment, after it, or without one."""
+"""State of the device: before an adjustment, after it, or without one."""
 FAILED = ("fail", "conditional fail")
 """Verdicts that withdraw a device from use."""
 

@@ -18,11 +18,11 @@ from typing import Any
 
 ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
 INTERVAL, OTHER = "interval", "other"
-"""Times since the previous sample, and quantities that are no readings of a sensor that can be calibrated."""
+"""Kinds of columns: times since the previous sample, and quantities that cannot be calibrated."""
 SENSOR_KINDS = (ACCEL, GYRO, MAGNETOMETER)
 
 IDENTIFYING_WEIGHT = 4.0
-"""Patterns of this weight or more identify a kind; lighter ones only rank several columns of one kind."""
+"""Least weight of a pattern that identifies a kind; lighter patterns only rank columns of one kind."""
 
 _TABLE: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "names.toml").read_text(encoding="utf-8"))
 _SPELLINGS: Mapping[str, Mapping[str, str]] = {
@@ -56,7 +56,7 @@ _KIND_OF_UNIT: Mapping[str, str] = {
     for unit in frozenset(text for kind in SENSOR_KINDS for text in UNITS[kind])
     if len(kinds := [kind for kind in (*SENSOR_KINDS, TIME_KIND) if unit in UNITS[kind]]) == 1
 }
-"""The kind of sensor for units that only one kind has."""
+"""Kind of sensor by unit, for units of only one kind."""
 _UNITS_OF_OTHERS = frozenset(_TABLE["units_of_others"])
 
 

@@ -49,17 +49,17 @@ _MOST = 9.0  # largest cost of one deviation: three standard deviations
 _LIMIT = _COUNTED + _RARE + 1.0  # accelerometers of rare counts and one standard deviation
 _NO_GYROS = 16.0  # six sensors, three of which are not gyros
 _BEFORE, _BETWEEN, _ASKEW, _LATER = 1.0, 4.0, 6.0, 8.0
-"""Gyros before the accelerometers; three columns between the two; one or two between; other columns before both."""
+"""Costs: gyros before the accelerometers; three columns between them; one or two between; other columns before both."""
 _AMBIGUOUS = 6.0
-"""A hypothesis that costs so much more than another is 20 times less likely."""
+"""Difference of cost at which a hypothesis is 20 times less likely than another."""
 
 _LEAST_MOVE, _LARGEST_MOVE, _FEWEST_MOVES = 0.05, 0.3, 20
-"""Changes of the vector from block to block, of gravity, that test gyros, and their least number."""
+"""Least change of the vector between blocks, of gravity, for a test of gyros, and least number of changes."""
 _LEAST_MOTION = 0.01  # of gravity: least scatter of each accelerometer of a body that is never at rest
 _LENGTH_IN_MOTION, _SPREAD_IN_MOTION = 0.12, 0.4
-"""Of gravity: tolerance of the median length of block means of a moving body, and limit of their spread."""
+"""For a moving body, of gravity: tolerance of the median length of block means, and limit of their spread."""
 _ONE_WAY_SHARE = 0.05
-"""Half of the steps of a sensor fall; 1 of 20 and less by chance once in 50,000 times."""
+"""Half of the steps of a sensor fall; at most 1 of 20 does by chance once in 50,000 cases."""
 
 MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
 """Zeros of converters without a sign."""

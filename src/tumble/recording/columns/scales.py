@@ -16,17 +16,18 @@ from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array, Unit
 
 SCALE_TOLERANCE = 0.06
-"""Standard deviation of ln(measured scale / nominal scale): scale errors of small sensors, and errors of few rests."""
+"""Standard deviation of ln(measured scale / nominal scale), by scale errors of small sensors and errors of few
+rests."""
 
 GYRO_RANGES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 """Full scales of gyros with 16 bits, °/s."""
 
 FASTEST = 4200.0 * DEGREE
-"""rad/s: beyond the widest range of data sheets, 4000 °/s."""
+"""rad/s, beyond the widest range of data sheets, 4000 °/s."""
 
 COUNTS_PER = {ACCEL: "g", GYRO: "deg/s"}
 COUNTS_PER_SI = {ACCEL: G_STANDARD, GYRO: DEGREE}
-"""The unit that counts are per, and its size in SI."""
+"""Unit of the input in a scale of counts, and its size in SI."""
 
 FREQUENCIES: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "scales.toml").read_text(encoding="utf-8"))
 _LISTED_COUNTS_SHARES = 0.03, 0.75

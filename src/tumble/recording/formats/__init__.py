@@ -33,7 +33,7 @@ _READERS = {
     "ardupilot": ("pymavlink", (".bin",)),
     "arrays": ("h5py", (".mat", ".h5", ".hdf5", ".npy", ".npz")),
 }
-"""Modules of formats, with the library that each needs and the endings of its files."""
+"""Modules of formats, with the required library and the endings of the files."""
 
 ENDINGS: tuple[str, ...] = tuple(ending for _, endings in _READERS.values() for ending in endings)
 """Endings of files that can be read; a ROS 2 bag may also be a folder."""
@@ -43,7 +43,7 @@ _NO_PLUGINS = (*READ_ENDINGS, ".txt", ".log", ".zip")
 
 _DATAFLASH_TEXT = b"FMT,"
 _BINARY = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
-"""Bytes that no text has and that all recordings have at their beginning."""
+"""Bytes that occur at the beginning of all recordings and in no text."""
 
 TIME = "t"
 """The time column in the rows of a message, s, on a clock common to all messages of a recording."""
@@ -168,12 +168,12 @@ def messages(*paths: Path) -> list[Message]:
         found += [replace(message, rows=partial(_rows, path, message)) for message in of_file]
         nothing.append(none)
     if not any(message.accel for message in found):
-        alone, remedy = nothing[0], ""
+        sensors, remedy = nothing[0], ""
         if any(message.gyro for message in found):
-            alone = "gyros alone"
+            sensors = "gyros alone"
         elif any(MAGNETOMETER in message.triads for message in found):
-            alone, remedy = "a magnetometer alone", "; record the accelerometers with it"
-        raise InputError(f"{paths[0]}: expected messages with accelerometers, found {alone}{remedy}")
+            sensors, remedy = "a magnetometer alone", "; record the accelerometers with it"
+        raise InputError(f"{paths[0]}: expected messages with accelerometers, found {sensors}{remedy}")
     return found
 
 
@@ -183,7 +183,7 @@ def _rows(path: Path, message: Message) -> Iterator[pl.DataFrame]:
 
 
 PROGRAM_ERRORS = TypeError, AttributeError, NameError, LookupError, AssertionError
-"""Errors whose text describes the program and not the file."""
+"""Errors whose text describes the program, not the file."""
 
 
 @contextmanager

@@ -40,7 +40,7 @@ _INSTANCES = {
     **{kind: (kind, 0) for kind in _FIELDS},
     **{f"{kind}{number}": (kind, number - 1) for kind in _FIELDS for number in (1, 2, 3)},
 }
-"""Kind and instance by the name of a message; a field I has precedence for the instance."""
+"""Kind and instance in the name of a message; for the instance a field I takes precedence."""
 
 
 def messages(path: Path) -> list[Message]:

@@ -32,7 +32,7 @@ _HEAD = 100  # rows from which the interval is taken
 READ_SECONDS = 0.2
 CLOCK_BACK = 1.0  # s; a time stamp that falls by more is that of a restarted clock
 TEMPERATURE = "temperature"
-"""Name of the column with the temperature, °C, of a source in SI."""
+"""Name of the temperature column, °C, of a source in SI."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -34,7 +34,7 @@ GAP_STEP = 1.5  # intervals; a longer step in time is a gap
 _BRIDGED_SAMPLES = 5
 MOST_GAPS = 100_000  # in a file; the scatter of turns contains the error of bridging
 LEFT_OUT_SHARE, LEFT_OUT_FREE = 2e-2, 3
-"""Rows without a time of their own that are tolerated in a file: this share of its rows, and this number."""
+"""Tolerated rows without a time of their own in a file: share of its rows, and number."""
 REGULAR_HINT = (
     "if the rows are equally spaced whatever their time stamps say, put regular = true in [log], or with arrays give "
     "rate= instead of time="

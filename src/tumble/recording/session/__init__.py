@@ -67,7 +67,7 @@ class Device:
 
 
 AssumedGravity = Literal["nothing", "digits", "height", "place"]
-"""What a session does not state about gravity: nothing, the uncertainty of a value, the height, or the place."""
+"""Missing statement of a session about gravity: none, the uncertainty of a value, the height, or the place."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -154,8 +154,8 @@ class TemperatureChannels:
 USUAL_CLOCK_U = 30e-6
 """Default relative standard uncertainty of time stamps: crystals are off by 20 to 50 ppm over temperature and age."""
 USUAL_RATE_U = 1e-2
-"""Default relative standard uncertainty of a sample rate without time stamps: data sheets state the oscillator of a
-sensor's chip to some per cent."""
+"""Default relative standard uncertainty of a sample rate without time stamps: data sheets specify the oscillator of a
+sensor to some per cent."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -12,7 +12,7 @@ from tumble.documents import is_plain, shown
 from tumble.errors import did_you_mean
 
 LONGEST_NAME = 200
-"""Characters, of a serial number and of a type."""
+"""Largest number of characters of a serial number or a type."""
 
 
 class SessionTable(BaseModel):

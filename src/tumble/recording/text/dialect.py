@@ -28,7 +28,7 @@ COMMENTS = ("#", "//", "%", "!", ";", "*")
 _TOP_LINES = 2000
 _FEWEST_NUMBERS = 3
 _ENCODINGS = {"utf-8": "", "cp1251": "[а-яё]{3}", "gb18030": "[\u4e00-\u9fff]{2}"}
-"""Encodings that are tried, with the letters that text in them must contain; a degree sign alone is Latin."""
+"""Encodings in the order of trial, with the letters that such a text must contain; a degree sign alone is Latin."""
 _BOMS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
@@ -44,7 +44,7 @@ JOINED = (
 """Dates with a time of day and uniform or no separators: 2026_6_15_18_21_44.62, 20260615 182144."""
 _JOINED = re.compile("|".join(JOINED))
 GPS_WEEK = r"(\d{3,4}):(\d{1,6}(?:\.\d+)?)"
-"""A GPS week, whole or its last digits, and the second in it."""
+"""A GPS week (all or its last digits) and the second of the week."""
 _GPS_WEEK = re.compile(GPS_WEEK)
 MONTHS = "jan", "feb", "m[aä]r|mrz", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]"
 """Beginnings of the names of months in English and German."""
@@ -54,7 +54,7 @@ NAMED_MONTH = (
     r"(?i)(?:^[a-z]{{2,3}},? +)?(?:{0}) +(?P<day>\d{{1,2}}) +"
     r"(?P<time>\d+:\d\d:\d\d)(?: [a-z]{{3,4}})? +(?P<year>\d{{4}})",
 )
-"""Dates with the name of the month: 15-Jun-2026, Jun 15, 2026, and as C prints them, Mon Jun 15 12:34:56 2026."""
+"""Dates with the name of the month: 15-Jun-2026, Jun 15, 2026, and in the form of C, Mon Jun 15 12:34:56 2026."""
 _NAMED_MONTH = [re.compile(date.format("|".join(MONTHS))) for date in NAMED_MONTH]
 
 

@@ -44,7 +44,7 @@ from tumble.views.report.application import added_terms
 from tumble.views.report.figures import before_and_after
 
 Cells = Callable[[Parameter, float], dict[str, str]]
-"""Function of a parameter and the size of its display unit in SI, which returns further cells by heading."""
+"""Function that returns further cells by heading for a parameter and the size of its display unit in SI."""
 
 _LISTED_CORRELATIONS = 8
 _MAX_ROWS = 26  # rows of the table of results on the first page
