@@ -200,7 +200,7 @@ def faults_of(error: ValidationError, content: Any, model: type[Any]) -> list[st
         kind, value, expected = fault["type"], content, ""
         key: tuple[int | str, ...] = ()
         table: type[Any] = model  # innermost table on the way to the key
-        inner: type[Any] | None = model  # table that the last key stands for, if any
+        inner: type[Any] | None = model  # table in the value of the last key, if any
         for part in fault["loc"]:
             if isinstance(part, int):
                 if (inner is None and expected) or not isinstance(value, list | tuple) or part >= len(value):

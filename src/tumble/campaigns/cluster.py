@@ -54,7 +54,7 @@ class Place(TypedDict, total=False):
     cluster : str
         On the cluster whose scheduler is at an address such as tcp://10.0.0.5:8786.
     workers : int
-        On a new cluster of so many processes.
+        On a new cluster with this number of processes.
     """
 
     serial: bool

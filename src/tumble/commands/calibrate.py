@@ -78,7 +78,7 @@ def calibrate(
 
     A file that is no session.toml, or anything with --latitude, --height, --serial, --sample-rate, --accel, --gyro,
     --time or units, is a LOG in any dialect: a session is made of it first, as `tumble new` does, in the folder
-    LOG-session beside it. It is found there by the content of the log; other options make it anew. Files that are
+    LOG-session beside it. For the same log it is reused; with other options it is made anew. Files that are
     positions of one recording are one LOG as a folder or as a 'PATTERN' in quotes; for other logs make a session each.
     """
     from tumble.recording.session_file import read_session

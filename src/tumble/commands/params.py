@@ -85,11 +85,11 @@ def examples(*lines: str) -> str:
     return "\b\n" + "\n".join(("Examples:", *(f"  {line}" for line in lines)))
 
 
-def option(name: str, says: str, default: Any = None, **settings: Any) -> _Option:
+def option(name: str, text: str, default: Any = None, **settings: Any) -> _Option:
     """Return an option, with its default shown if it has one."""
     if default is not None:
         settings |= {"default": default, "show_default": True}
-    return click.option(*name.split("/"), help=says, **settings)
+    return click.option(*name.split("/"), help=text, **settings)
 
 
 def _group(*options: _Option) -> _Option:
@@ -109,37 +109,37 @@ def _grades_like(_context: click.Context, _parameter: click.Parameter, typed: st
     return [name for name in GRADES if name.startswith(typed)]
 
 
-def out(says: str, kind: click.Path = FILE, **settings: Any) -> _Option:
-    return click.option("-o", "--out", type=kind, help=says, **settings)
+def out(text: str, kind: click.Path = FILE, **settings: Any) -> _Option:
+    return click.option("-o", "--out", type=kind, help=text, **settings)
 
 
-def force(says: str = "Replace an existing file.") -> _Option:
-    return click.option("--force", is_flag=True, help=says)
+def force(text: str = "Replace an existing file.") -> _Option:
+    return click.option("--force", is_flag=True, help=text)
 
 
-def programme(says: str, default: str | None = None) -> _Option:
-    return option("--programme", says, default, shell_complete=programmes_like)
+def programme(text: str, default: str | None = None) -> _Option:
+    return option("--programme", text, default, shell_complete=programmes_like)
 
 
-def grade(default: str | None = usual_setup.GRADE, says: str = "") -> _Option:
-    return option("--grade", f"navigation, tactical, mems or consumer{says}.", default, shell_complete=_grades_like)
+def grade(default: str | None = usual_setup.GRADE, text: str = "") -> _Option:
+    return option("--grade", f"navigation, tactical, mems or consumer{text}.", default, shell_complete=_grades_like)
 
 
 def terms(default: str) -> _Option:
-    says = "Groups of parameters: all (full), or bias, scale factor and axis angles alone (linear)."
-    return option("--terms", says, default, type=click.Choice(["full", "linear"]))
+    text = "Groups of parameters: all (full), or bias, scale factor and axis angles alone (linear)."
+    return option("--terms", text, default, type=click.Choice(["full", "linear"]))
 
 
 def frame(frames: list[str] = FRAMES) -> _Option:
     return option("--frame", "Frame of the result.", frames[0], type=click.Choice(frames))
 
 
-def method(methods: list[str], default: str | list[str] | None, says: str, **settings: Any) -> _Option:
-    return option("--method", says, default, type=click.Choice(methods), **settings)
+def method(methods: list[str], default: str | list[str] | None, text: str, **settings: Any) -> _Option:
+    return option("--method", text, default, type=click.Choice(methods), **settings)
 
 
-def registry(says: str) -> _Option:
-    return option("--registry", says, metavar="FILE|URL")
+def registry(text: str) -> _Option:
+    return option("--registry", text, metavar="FILE|URL")
 
 
 WANT = option("--want/wanted", "Wanted u, e.g. accel.scale=3.5ppm; repeat.", multiple=True, metavar="GROUP=VALUE")
@@ -155,8 +155,8 @@ CERTIFICATE = option("--certificate", "TOML file of a certificate: laboratory, c
 
 
 def registry_place(**settings: Any) -> _Option:
-    says = "The registry: an SQLite file or postgresql://USER@HOST/NAME."
-    return option("--registry/place", says, metavar="FILE|URL", envvar="TUMBLE_REGISTRY", show_envvar=True, **settings)
+    text = "The registry: an SQLite file or postgresql://USER@HOST/NAME."
+    return option("--registry/place", text, metavar="FILE|URL", envvar="TUMBLE_REGISTRY", show_envvar=True, **settings)
 
 
 REGISTRY = registry_place()

@@ -13,7 +13,7 @@ first lines of a log. Forms with the values of all columns in a line:
 * rows in brackets or behind the clock of a serial monitor, and marks between thousands.
 
 Forms with a line for each sensor, `ACC,1200,0.01,0.02,9.81` and then `GYRO,1202,…`, become a table for each. Lines that
-do not match the form are copied as they are, so that the reader of tables reports them.
+do not match the form are copied unchanged, so that the reader of tables reports them.
 """
 
 from __future__ import annotations
@@ -359,7 +359,7 @@ def form_of(lines: Sequence[str]) -> TextForm | None:
 def copy_as_tables(file: Path, start: bytes, folder: OutputFolder) -> tuple[list[Path], tuple[str, ...]] | None:
     """Copy a text log of one of the forms, with the first bytes `start`, as a table or as one table per sensor.
 
-    Returns the copies and remarks; None for a log that can be read as it is. Raises InputError for too many sensors."""
+    Returns the copies and remarks; None for a log that can be read directly. Raises InputError for too many sensors."""
     encoding = encoding_of(start)
     form = form_of(re.split("[\r\n]+", start.decode(encoding, errors="replace"))[:-1]) or rows_by_sensor(file, start)
     if form is None:

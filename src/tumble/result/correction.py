@@ -219,7 +219,7 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
     return out
 
 
-# -------------------- as it is computed --------------------
+# -------------------- by a compensator --------------------
 
 
 def corrected_readings(

@@ -288,7 +288,7 @@ def line_of(message: Any) -> str:
 class Replay(LineSource):
     """The log of a session at `speed` times the pace of its recording; infinite means all at once.
 
-    A CSV file with commas is sent as it is, another file as lines of CSV."""
+    A CSV file with commas is sent unchanged, any other file as lines of CSV."""
 
     begins_anew = True
 
