@@ -56,8 +56,8 @@ def screen(
     else:
         specific = _turn(task, progress)
 
-    # remaining time of the programme, s: a position takes the median of the planned time (rest and move) and of those
-    # that the positions before took, the first rest, which may be a warm-up, counting as planned at most
+    # remaining time of the programme, s: a position takes the median of its planned time (rest and move) and the times
+    # of earlier positions; the first rest, which may be a warm-up, counts at most as planned
     to_go = None
     if task.positions is not None and groups:
         rest = max(task.wanted.rest, SHORTEST_REST)

@@ -245,7 +245,7 @@ def _turns(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hypothesis:
-    """Scales and times of a log, and their cost. `profile` has the exchange of gyro columns, None without turns."""
+    """Scales and times of a log, and their cost. `profile` is the likelihood of the turns; None without turns."""
 
     accel: SensorScale
     gyro: SensorScale | None

@@ -102,7 +102,7 @@ def temperature_curve(calibration: CalibrationData, name: str, temperature: Arra
     parameters, expanded, degrees = [calibration.parameters[i] for i in members], None, None
     if calibration.covariance is not None:
         # Welch–Satterthwaite (JCGM 100:2008, G.4.1), but at least the fewest degrees of freedom of a parameter, as for
-        # independent parameters: it does not hold for anticorrelated ones, whose sum is known better than they are
+        # independent parameters: it fails for anticorrelated ones, whose sum is known better than each of them
         S = calibration.covariance[np.ix_(members, members)]
         u2 = np.einsum("ni,ij,nj->n", P, S, P)
         per_degree = np.array([0.0 if p.dof is None else 1.0 / p.dof for p in parameters])

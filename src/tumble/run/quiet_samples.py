@@ -59,7 +59,7 @@ def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None =
     Parameters
     ----------
     *recordings
-        Sessions, or the paths of their folders, whose longest rests are taken; or, with `layout`, logs of a device at
+        Sessions, or the paths of their folders, whose longest rests are used; or, with `layout`, logs of a device at
         rest. Several recordings of one device are evaluated together.
     layout
         Table [log] of session.toml, less the file.

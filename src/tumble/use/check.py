@@ -102,7 +102,7 @@ class FieldCheck(Judged):
     one of 100 cases. `turns` is the number of turns used. `parameters` are the tests of the parameters that rests and
     turns determine, with the `largest` |change|/u and its `limit`; they are empty if the comparison with gravity alone
     decides. `changes` are the parameters that have changed, `unseen` the groups that are not determined, `misfit` the
-    residuals that no change explains; `rests_agree` if there are none without the turns. `notes` are assumptions."""
+    residuals that no change explains; `rests_agree`: the rests alone show no change. `notes` are assumptions."""
 
     json_fields: ClassVar = (
         "verdict", "reasons", "source", "rests", "rest_limit", "turns", "changes", "parameters", "largest",

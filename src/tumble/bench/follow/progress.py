@@ -161,7 +161,7 @@ class Judged:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Progress:
     """Progress of a recording: its reduction and blocks; the rests `so_far`, None while the log is too short to find
-    any, in `groups` by position in chronological order; and the quality of the last two rests of the last position
+    rests, in `groups` by position in chronological order; and the quality of the last two rests of the last position
     (`judged`)."""
 
     reduction: Reduction

@@ -1,7 +1,7 @@
 """Gaps: runs of lost samples in a file.
 
 A sample is lost if its row is missing or cannot be read, or if one of its numbers is not finite or beyond 1e30. What
-happens to a run depends on its length:
+is done with a run depends on its length:
 
 * At most five samples are bridged: missing rows are inserted at evenly spaced times, and numbers that are not finite
   are interpolated linearly in time between their neighbours.

@@ -67,7 +67,7 @@ def recordings(calibration: Calibration) -> list[RecordedSession]:
 
 
 def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
-    """Return place and gravity with its uncertainty."""
+    """Return the place, and gravity with its uncertainty."""
     if site is None:
         return (("site", "not in the calibration file"),)
     gravity = f"{fixed(site.gravity, 7)} m/s², U = {significant(2.0 * site.gravity_u, 2)} m/s² (k = 2)"
