@@ -58,5 +58,5 @@ class Judged(Brief):
 
     @property
     def verdict(self) -> Literal["accepted", "not accepted"]:
-        """Result in the words of the outcome of a calibration."""
+        """Verdict in the words used for calibrations."""
         return "not accepted" if self.reasons else "accepted"

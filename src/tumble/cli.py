@@ -26,7 +26,7 @@ from tumble.errors import TumbleError
 from tumble.plugins import entry_points_of, load, package_of
 from tumble.program_errors import check_memory_limits, ended_by
 
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small, threads only wait for each other
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: threads would only wait for each other
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # the search goes through all installed packages
 gc.set_threshold(200_000)  # a short command makes about as many objects, all in use
 atexit.register(gc.freeze)  # a last collection would take a fifth of the time of a short command
@@ -64,7 +64,7 @@ def _in_one_line() -> Iterator[None]:
         raise _Refused(f"{error.filename or 'standard output'}: {error.strerror or error}") from error
 
 
-STUCK_SECONDS = 5.0  # s, in which a command has to end after SIGTERM
+STUCK_SECONDS = 5.0  # s, allowed for a command to end after SIGTERM
 
 COMMANDS: Mapping[str, str] = {
     "Most used": (
@@ -152,7 +152,7 @@ class _Commands(click.Group):
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.option("-q", "--quiet", is_flag=True, help="Results, reasons and errors alone: no notes on standard error.")
+@click.option("-q", "--quiet", is_flag=True, help="Print only results, reasons and errors, no notes.")
 @click.version_option(__version__, prog_name="tumble")
 @click.pass_context
 def main(context: click.Context, quiet: bool) -> None:  # noqa: ARG001 (`console` reads it)

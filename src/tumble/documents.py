@@ -1,7 +1,7 @@
 """TOML and JSON documents of users, results as JSON, and values of documents in messages.
 
-Errors of a parser become one line, also for numbers of thousands of digits and deep nesting, which are no syntax
-errors. Characters that move the cursor of a terminal or change the direction of writing are not shown.
+Errors of a parser become one line, including those for numbers of thousands of digits and for deep nesting. Characters
+that move the cursor of a terminal or change the direction of writing are not shown.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def check_regular(path: Path) -> None:
 
 
 def text_of_document(path: Path, error: type[InputError] = InputError) -> str:
-    """Return the text of a document. Raises an error of the class if it cannot be read or is too large."""
+    """Return the text of a document. Raises `error` if it cannot be read or is too large."""
     if "\0" in str(path):
         raise error(f"{path}: expected the name of a file, found a null byte in it")
     check_regular(path)
@@ -68,7 +68,7 @@ def text_of_document(path: Path, error: type[InputError] = InputError) -> str:
 
 
 def toml_of(text: str, where: str, error: type[InputError] = InputError) -> dict[str, Any]:
-    """Return the tables of a TOML text, which messages call `where`. Raises an error of the class."""
+    """Return the tables of a TOML text, named `where` in messages. Raises `error`."""
     import tomllib
 
     if _LONG_KEY.search(text):
@@ -169,7 +169,7 @@ _Model = TypeVar("_Model", bound="BaseModel")
 
 @cache
 def _expected() -> Mapping[str, str]:
-    """Return what is expected of a key without description, by the type of the fault."""
+    """Return descriptions of the expected value, by type of fault, for keys without a description."""
     return toml_of(Path(__file__).with_name("expected.toml").read_text(encoding="utf-8"), "expected.toml")
 
 
@@ -178,7 +178,7 @@ def validated(
 ) -> _Model:
     """Validate a document by a model.
 
-    Raises an error of the class, one line with up to three faults "key: expected …, found …" after `where`."""
+    Raises `error`, one line with up to three faults "key: expected …, found …" after `where`."""
     from pydantic import ValidationError
 
     try:
@@ -191,16 +191,16 @@ def validated(
 
 
 def faults_of(error: ValidationError, content: Any, model: type[Any]) -> list[str]:
-    """Return every fault of a document once.
+    """Return the faults of a document, each once.
 
-    What is expected of a key is the description of its field; a list with a description is named instead of its
+    The expected value of a key is the description of its field; a list with a description is named instead of its
     elements."""
     faults: dict[tuple[int | str, ...], str] = {}
     for fault in error.errors(include_url=False):
         kind, value, expected = fault["type"], content, ""
         key: tuple[int | str, ...] = ()
         table: type[Any] = model  # innermost table on the way to the key
-        inner: type[Any] | None = model  # table that the last key stands for, if any
+        inner: type[Any] | None = model  # table in the value of the last key, if any
         for part in fault["loc"]:
             if isinstance(part, int):
                 if (inner is None and expected) or not isinstance(value, list | tuple) or part >= len(value):

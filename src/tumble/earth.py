@@ -31,7 +31,7 @@ def normal_gravity(latitude: float, height: float) -> float:
     """Return normal gravity, m/s², at a geodetic latitude (rad) and a height over the ellipsoid (m).
 
     Within 20 ng of the closed form up to 2 km. Source: TR8350.2 (4-1), (4-3). Raises InputError for a latitude beyond
-    the poles, such as one in degrees.
+    ±π/2, such as one in degrees.
 
     >>> import tumble
     >>> round(tumble.normal_gravity(0.992, 270.0), 5)

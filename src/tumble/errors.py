@@ -1,7 +1,7 @@
 """The exceptions of tumble, as a tree.
 
     TumbleError
-    ├── InputError            what was given cannot be used; the command line exits with 2
+    ├── InputError            the input cannot be used; the command line exits with 2
     │   ├── GyrosAloneError   a log without accelerometers
     │   ├── SessionError      session.toml: a key, a value, a missing file
     │   ├── LogError          a log: a column, a row, a number, the time
@@ -53,7 +53,7 @@ class LogError(InputError):
 
 
 class ProgrammeError(InputError):
-    """An attitude code or a programme is not one tumble knows."""
+    """An attitude code or a programme does not exist."""
 
 
 class CalibrationError(InputError):
@@ -68,7 +68,7 @@ class MissingExtraError(TumbleError):
 def needs_extra(what: str, extra: str, *libraries: str) -> Iterator[None]:
     """Raise MissingExtraError if one of the libraries imported in the block is missing.
 
-    The message names `what` needs it, in the singular, and the extra of tumble that installs it."""
+    The message names `what` (in the singular) needs it, and the extra of tumble that installs it."""
     try:
         yield
     except ModuleNotFoundError as error:
@@ -82,7 +82,7 @@ def needs_extra(what: str, extra: str, *libraries: str) -> Iterator[None]:
 
 
 def did_you_mean(name: str, known: Iterable[str], *, alike: float = 0.6) -> str:
-    """Return the end of a message about an unknown name: the known name that may be meant, or nothing."""
+    """Return the end of a message about an unknown name: the most similar known name, or nothing."""
     from difflib import get_close_matches
 
     near = get_close_matches(name, list(known), n=1, cutoff=alike)

@@ -13,15 +13,15 @@ from pathlib import Path
 from tumble.errors import InputError
 
 FilePath = str | os.PathLike[str]
-"""Path of a file or folder, as public functions take it."""
+"""Path of a file or folder in arguments of public functions."""
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a temporary file beside `path` that replaces it when the block ends without an error.
 
-    Raises OSError that names `path` for a missing or read-only folder and for a full disk, also if a library reports
-    these in an exception of its own."""
+    Raises OSError that names `path` for a missing or read-only folder and for a full disk, also where a library raises
+    another exception for these."""
     if path.exists() and not path.is_file():
         raise OSError(errno.EINVAL, "is no file that could be replaced", str(path))
     if not path.parent.exists():
@@ -59,7 +59,7 @@ _NUMBER = re.compile(r"\(os error (\d+)\)")  # in messages of libraries written 
 
 
 def ending_in(path: Path, *endings: str) -> str:
-    """Return the ending of a file in lower case. Raises InputError if it is none of these."""
+    """Return the ending of a file name in lower case. Raises InputError if it is not one of `endings`."""
     ending, (*others, last) = path.suffix.lower(), endings
     if ending not in endings:
         found, expected = path.suffix or "no ending", f"{', '.join(others)} or {last}" if others else last
@@ -68,12 +68,12 @@ def ending_in(path: Path, *endings: str) -> str:
 
 
 def plain_name(word: str) -> str:
-    """Return a word with the characters that a file name may have."""
+    """Return a word without the characters that a file name cannot have."""
     return re.sub(r"\W+", "-", word).strip("-")[:40] or "unnamed"
 
 
 class OutputFolder:
-    """A folder for new files, which is made with the first of them; none replaces another."""
+    """A folder for new files, created with the first one; no file replaces another."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -7,10 +7,10 @@
     tumble.programmes     the attitude codes of the positions in order (`tumble.programme.positions`)
     tumble.parameters     a `ParameterGroup` (`tumble.sensors.parameters`)
     tumble.knowledge      a context manager that opens a `Knowledge` at a place (`tumble.commands.params`)
-    tumble.reports        a function that writes a report of calibrations by a file of its own: limits, certificate
+    tumble.reports        a function that writes a report by a further file: limits, certificate
 
-Built-in names come first. Entry points are looked up only for other names and for lists; an object is imported when it
-is used. `lab` and `bench` also add their commands and exports in this way.
+Built-in names take precedence: entry points are searched only for other names and for lists. Objects are imported on
+use. `lab` and `bench` also add their commands and exports in this way.
 """
 
 from __future__ import annotations

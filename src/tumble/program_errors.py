@@ -1,6 +1,6 @@
-"""End of a command by an error of the program: one line, the traceback in a file, and an exit status of its own.
+"""Handling of errors of the program: one line on standard error, the traceback in a file, and exit status 70.
 
-The module also handles a failed start, and imports nothing that takes time or memory.
+The module also handles a failed start, so it imports nothing that takes time or memory.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ STOPPED = 130  # exit status of a command that the user has stopped (Ctrl-C)
 
 
 def ended_by(error: BaseException) -> int:
-    """Print in one line on standard error what has ended a command, and return the exit status."""
+    """Print one line on standard error about the exception that ended a command, and return the exit status."""
     if isinstance(error, KeyboardInterrupt):
         print("tumble: stopped", file=sys.stderr)  # noqa: T201
         return STOPPED
@@ -28,7 +28,7 @@ def ended_by(error: BaseException) -> int:
 LEAST_MEMORY = {"RLIMIT_AS": (1.6e9, "v"), "RLIMIT_DATA": (0.5e9, "d")}
 """Bytes of address space and of data, with the option of `ulimit` for each. Reading a recording of 3 MB maps 1.59 GB,
 0.41 GB of it data and 0.2 GB used, with one thread of polars, and 5 MB of each for every further thread. With less,
-polars or matplotlib may abort the process or wait for ever."""
+polars or matplotlib may abort the process or wait forever."""
 
 
 def check_memory_limits() -> None:

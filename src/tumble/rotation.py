@@ -21,14 +21,15 @@ def unit_vector(vectors: Array) -> Array:
 
 
 def onto_body(axes: Array) -> Array:
-    """Return the matrix (3, n) that takes readings along n sensing axes (n, 3) to the vector, by least squares."""
+    """Return the matrix (3, n) that converts readings along n sensing axes (n, 3) to the vector, by least squares."""
     return left_inverse(np.asarray(axes, dtype=float))
 
 
 def left_inverse(matrix: Array) -> Array:
-    """Return the matrix (..., 3, n) that takes readings to the vector, by least squares, for sensitivities (..., n, 3).
+    """Return the matrix (..., 3, n) that converts readings to the vector by least squares, from sensitivities (..., n,
+    3).
 
-    Raises LinAlgError if those of a triad are in one plane."""
+    Raises LinAlgError if the sensitivities of a triad are in one plane."""
     square = matrix.shape[-2] == matrix.shape[-1]
     return np.asarray(np.linalg.inv(matrix) if square else np.linalg.pinv(matrix), dtype=float)
 

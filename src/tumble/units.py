@@ -68,7 +68,7 @@ GYRO_UNITS = {
     "V": Unit(factor=1.0, kind="raw"),
 }
 
-UNIT_TOLERANCE = 0.25  # relative error of readings, above which their unit is doubted; biases and scale errors are less
+UNIT_TOLERANCE = 0.25  # relative error of readings above which their unit is doubted; biases and scale errors are less
 
 
 def is_near_one(ratios: npt.ArrayLike) -> bool:
@@ -88,7 +88,7 @@ def fitting_units(read: npt.ArrayLike, sizes: Mapping[str, float]) -> list[str]:
 TESLA = {"nT": 1e-9, "uT": 1e-6, "gauss": 1e-4, "mgauss": 1e-7, "T": 1.0}
 """Units of a magnetic field, T."""
 MAGNETIC_UNITS = tuple(TESLA)
-"""Units of a magnetometer. They are not converted, since nothing else is measured in them."""
+"""Units of a magnetometer. They are not converted, because no other quantity has them."""
 
 TEMPERATURE_UNITS = {"degC": (1.0, 0.0), "K": (1.0, -ZERO_CELSIUS), "degF": (5.0 / 9.0, -160.0 / 9.0)}
 """Gain and shift to °C: gain · number + shift."""
@@ -108,13 +108,13 @@ _SHOWN: dict[str, tuple[tuple[float, str], ...]] = {
 def engineering(unit: str, magnitude: float) -> tuple[float, str]:
     """Return the unit, as (size in SI, name), in which a quantity of this SI unit and magnitude is shown.
 
-    It is µg or mg, ppm, arcsec or mrad, °/h or °/s: the larger one if the magnitude is at least one of it (0.5 mrad for
-    angles). Quantities of other units than m/s^2, 1, rad and rad/s are shown in these."""
+    It is µg or mg, ppm, arcsec or mrad, °/h or °/s: the larger one if the magnitude is at least one such unit (0.5 mrad
+    for angles). SI units other than m/s^2, 1, rad and rad/s are kept."""
     return coarsest(_SHOWN.get(unit, ((1.0, unit),)), magnitude, limit=0.5 if unit == "rad" else 1.0)
 
 
 def coarsest(candidates: Sequence[tuple[float, str]], magnitude: float, *, limit: float = 1.0) -> tuple[float, str]:
-    """Return the largest unit (size in SI, name), of candidates from the smallest on, of which a magnitude is at least
+    """Return the largest of the `candidates`, (size in SI, name) in ascending order, in which the magnitude is at least
     `limit`; else the smallest."""
     fitting = [unit for unit in candidates if abs(magnitude) >= limit * unit[0]]
     return (candidates[0], *fitting)[-1]
@@ -132,7 +132,7 @@ READ: dict[str, dict[str, float]] = {
 def quantity(text: str, units: Mapping[str, float]) -> float:
     """Return the SI value of a text such as "3.5ppm" or "20 µg/g²".
 
-    Raises ValueError for anything but a number and one of these units, as `as_typed` writes them."""
+    Raises ValueError for any text but a number and one of the units, spelled as by `as_typed`."""
     number = re.match(r"\s*[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", text)
     unit = as_typed(text[number.end() :].strip()) if number else ""
     if number is None or unit not in units:
@@ -148,7 +148,7 @@ def as_typed(unit: str) -> str:
 
 
 def two_digits(value: float) -> str:
-    """Return a positive number with two significant digits, 3.0 and not 3, without an exponent."""
+    """Return a positive number with exactly two significant digits (3.0, not 3), without an exponent."""
     return rounded(value, value)[1]
 
 

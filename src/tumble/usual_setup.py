@@ -19,7 +19,7 @@ SAMPLE_RATE = 100.0  # Hz
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Pace:
     """Durations of rests and rate of turns: the first rest lasts at least `first_rest` s, every rest `rest` s; turns
-    have the rate `rate_deg_s`, °/s, reached and left in `ramp` s."""
+    accelerate in `ramp` s to the rate `rate_deg_s`, °/s."""
 
     first_rest: float
     rest: float
@@ -31,4 +31,4 @@ ON_TABLE = Pace(first_rest=0.0, rest=60.0, rate_deg_s=10.0, ramp=1.0)
 BY_HAND = Pace(first_rest=40.0, rest=5.0, rate_deg_s=80.0, ramp=0.5)
 
 INSTABILITY_TIME = 300.0  # s, correlation time of in-run biases
-MOVE = 30.0  # s, time on the operator's sheet for a move that is no turn of the table
+MOVE = 30.0  # s, time on the operator's sheet for a move other than a turn of the table

@@ -21,15 +21,15 @@ from tumble.commands import console, params
 @params.option(
     "--listen", "What to record: udp:5005, serial:/dev/ttyUSB0:115200, replay:FOLDER@20x …", metavar="SOURCE"
 )
-@params.option("--serial", "Of a new SESSION.", metavar="NUMBER")
+@params.option("--serial", "Serial number of the device, for a new SESSION.", metavar="NUMBER")
 @params.LATITUDE
 @params.GRAVITY
-@params.programme("Of a new session; default: free positions.")
+@params.programme("Programme of a new SESSION; default: free positions.")
 @params.WANT
 @params.grade("mems", ": for uncertainties that are not stated")
 @params.REGISTRY
-@params.option("--host", "Address to listen on; beyond the loopback a token is asked for.", "127.0.0.1")
-@params.option("--port", "0: any that is free.", 8422, type=click.IntRange(0, 65535))
+@params.option("--host", "Address to listen on; other than loopback, access needs a token.", "127.0.0.1")
+@params.option("--port", "Port to listen on; 0: any free port.", 8422, type=click.IntRange(0, 65535))
 def bench(
     session: Path,
     listen: str | None,

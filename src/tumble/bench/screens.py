@@ -23,14 +23,14 @@ from tumble.reduction.rests.rests import drift
 from tumble.units import DEGREE, G_STANDARD, ZERO_CELSIUS
 from tumble.usual_setup import MOVE
 
-SETTLING_RATE = 3.0 * DEGREE  # rad/s; a slower turn that is nearly complete is a unit put down that still moves
+SETTLING_RATE = 3.0 * DEGREE  # rad/s; a nearly complete turn below it is the motion of a unit just put down
 NEARLY_DONE = 10.0 * DEGREE  # rad, from the end of a turn
-_SETTLING_DRIFT = 20.0  # in units of u, drift over a rest that is not noise; that of white noise is √12
+_SETTLING_DRIFT = 20.0  # in units of u, drift over a rest that noise does not explain; white noise gives √12
 _TRACE_BLOCKS = 600
 MAX_FORECAST = 9.0
-"""Longest forecast of the end of a rest, in units of its duration. u is known to about 20 % from its beginning, so the
-time that it needs, in proportion to u², only to about half."""
-_FURTHER_RESTS = 5  # for which the improvement of the estimate is shown, by the root of the number of rests
+"""Longest forecast of the end of a rest, in units of its duration. At its beginning u is known to about 20 %, so the
+required time, proportional to u², only to about half."""
+_FURTHER_RESTS = 5  # for which the improvement of the estimate is predicted by the root of the number of rests
 
 WAITING: Screen = {"screen": "waiting", "headline": "Waiting for data", "fault": None}
 """Screen before there are enough data to find rests."""
@@ -56,8 +56,8 @@ def screen(
     else:
         specific = _turn(task, progress)
 
-    # remaining time of the programme, s: a position takes the median of the planned time (rest and move) and of those
-    # that the positions before took, the first rest, which may be a warm-up, counting as planned at most
+    # remaining time of the programme, s: a position takes the median of its planned time (rest and move) and the times
+    # of earlier positions; the first rest, which may be a warm-up, counts at most as planned
     to_go = None
     if task.positions is not None and groups:
         rest = max(task.wanted.rest, SHORTEST_REST)

@@ -1,6 +1,6 @@
 """Session folder of a bench: its creation, copies for the next unit, and the operator's answers to faults.
 
-What an answer leaves out of the log is written into session.toml.
+Parts of the log excluded by an answer are written into session.toml.
 """
 
 from __future__ import annotations
@@ -165,7 +165,7 @@ def _exclude_table(exclusion: Exclusion) -> str:
 
 
 class Answers:
-    """The operator's answers in a session that had the exclusions `before`; further ones are written to its `folder`.
+    """The operator's answers in a session with the exclusions `before`; further exclusions are written to its `folder`.
 
     `go_on` is True if the operator wants more positions than necessary."""
 
@@ -197,7 +197,7 @@ class Answers:
         self._open = None
 
     def again(self, fault: Fault | None, progress: Progress | None) -> str:
-        """Exclude what a fault has spoilt, up to now or until the unit is moved."""
+        """Exclude the part that a fault has spoilt, up to now or until the unit is moved."""
         if fault is None or progress is None:
             return "nothing is wrong"
         is_knock = fault.kind == "knock"  # this rest begins anew
@@ -218,7 +218,7 @@ class Answers:
         return "the right position is taken; the wrong one is left out"
 
     def keep_first(self, fault: Fault | None, progress: Progress | None) -> str:
-        """Exclude a fault and what follows it, and keep what was before."""
+        """Exclude a fault and what follows it until the unit is moved; keep the part before."""
         if fault is None or progress is None or "keep_first" not in fault.choices:
             return "there is no first part"
         self._exclude(fault, progress, fault.stop, progress.now, until_moved=True)

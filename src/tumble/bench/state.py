@@ -9,8 +9,8 @@ from typing import Any, Literal, TypedDict
 
 
 class Received(TypedDict):
-    """Input: the number of `refused` lines, `why` the last one was, whether the source has `ended` or is `silent`, and
-    its troubles."""
+    """Input: the number of `refused` lines, the reason for the last one (`why`), whether the source has `ended` or is
+    `silent`, and its troubles."""
 
     refused: int
     why: str
@@ -29,7 +29,7 @@ class Recorded(Received):
 
 
 class GroupShown(TypedDict):
-    """A group of parameters: its largest u, the wanted one, and whether the data determine all of it."""
+    """A group of parameters: its largest u, the wanted u, and whether the data determine all its parameters."""
 
     group: str
     unit: str
@@ -80,8 +80,8 @@ class PositionShown(TypedDict):
 
 
 class RestShown(TypedDict, total=False):
-    """A rest by its number of `of`; while it lasts also its duration, the time left, u of its mean and the wanted one
-    (µg, °/h), and its drift (µg)."""
+    """A rest with its number out of `of`; while it lasts also its duration, the remaining time, u of its mean and the
+    wanted u (µg, °/h), and its drift (µg)."""
 
     number: int
     of: int | None
@@ -147,7 +147,7 @@ class State(Screen, total=False):
 
 class Trace(TypedDict):
     """Means of the blocks before number `next`: times, s, specific force, m/s², rate, °/s. With `anew` the page drops
-    earlier ones."""
+    earlier blocks."""
 
     next: int
     anew: bool

@@ -37,7 +37,7 @@ _LONG_COMMANDS = {
     "export": "exporting",
     "register": "registering",
 }
-"""Commands that take long, during which the page goes on. All but the first need a result."""
+"""Slow commands, during which the page is still updated. All but the first need a result."""
 
 
 class Station:
@@ -219,7 +219,7 @@ class Station:
                 excluded = self._answers.excluded
                 self._message = self._carry_out(name, value)
                 if self._answers.excluded != excluded:
-                    self._result = None  # was made with other exclusions
+                    self._result = None  # it was computed with other exclusions
                 return self._message
             if name != "calibrate" and self._result is None:
                 return "nothing is calibrated yet"

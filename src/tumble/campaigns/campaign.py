@@ -227,7 +227,7 @@ def campaign(
     out
         Folder of the results; finished trials are not computed again.
     progress
-        Function that is called with the number of tasks done and of all.
+        Function of the number of finished tasks and the number of all tasks.
     **place
         Where to compute, see `tumble.types.Place`.
 

@@ -28,16 +28,16 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 ATTEMPTS = 3
-CHUNKS_IN_FLIGHT = 2  # for each process: one at work, one waiting
+CHUNKS_IN_FLIGHT = 2  # per process: one being computed and one waiting
 CONNECT_SECONDS = 10
-LOST_SECONDS = 60.0  # without any process and any result; a process takes up to half a minute to start when busy
+LOST_SECONDS = 60.0  # without processes and results; on a busy machine a process takes up to half a minute to start
 _RESUME_ADVICE = "what was computed is kept: give the same command again to go on"
 _SETTINGS = {
     "distributed.worker.multiprocessing-method": "spawn",
     "distributed.scheduler.allowed-failures": 0,
     "distributed.deploy.lost-worker-timeout": "30 days",  # default 15 s
     "distributed.worker.profile.enabled": False,  # it would sample every process 100 times a second
-    "distributed.scheduler.http.routes": [],  # the servers cannot be left out, but serve nothing
+    "distributed.scheduler.http.routes": [],  # the servers cannot be disabled, but serve nothing
     "distributed.worker.http.routes": [],
     # Ctrl-C reaches all processes of a terminal; only this one handles it
     "distributed.worker.preload": ["import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"],
@@ -54,7 +54,7 @@ class Place(TypedDict, total=False):
     cluster : str
         On the cluster whose scheduler is at an address such as tcp://10.0.0.5:8786.
     workers : int
-        On a new cluster of so many processes.
+        On a new cluster with this number of processes.
     """
 
     serial: bool

@@ -35,7 +35,7 @@ MANIFEST = "manifest.json"
 
 Row = Mapping[str, Any]
 Progress = Callable[[int, int], None]
-"""Function of the number of tasks that are done and of all tasks."""
+"""Function of the number of finished tasks and the number of all tasks."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -151,7 +151,7 @@ def error_row(number: int, label: Row, reason: str) -> Row:
 
 
 def _open_folder(job: Job, folder: Path) -> bool:
-    """Return True if the folder belongs to this job; a new folder becomes its folder. Raises InputError for others."""
+    """Return True if the folder belongs to this job; initialise a new folder. Raises InputError for others."""
     manifest = folder / MANIFEST
     sha256 = hashlib.sha256(json.dumps(job.identity, sort_keys=True, allow_nan=False).encode()).hexdigest()
     if manifest.exists():

@@ -46,8 +46,8 @@ that order, row by row."""
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
 class FleetResult(Brief):
-    """Result of a fleet: its Parquet file, its sessions, the number of accepted ones, and the reasons for the
-    others."""
+    """Result of a fleet: its Parquet file, its sessions, the number of accepted ones, and why others were not
+    accepted."""
 
     rows: Path
     sessions: tuple[str, ...]
@@ -76,14 +76,14 @@ def fleet(
     method
         See `calibrate`.
     progress
-        Function that is called with the number of tasks done and of all.
+        Function of the number of finished tasks and the number of all tasks.
     **place
         Where to compute, see `tumble.types.Place`.
 
     Returns
     -------
     FleetResult
-        The number of accepted sessions, and the reasons for the others.
+        The number of accepted sessions, and why the others were not accepted.
 
     Raises
     ------

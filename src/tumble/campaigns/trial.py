@@ -48,10 +48,10 @@ def random_numbers(seed: int, number: int) -> np.random.Generator:
 def session_rows(seed: int, methods: Sequence[Method], intervals: bool, number: int, cell: Cell) -> list[Row]:
     """Simulate trial `number` of a campaign at a point of its grid, and calibrate it by every method.
 
-    With `intervals` u is integrated over the hyperparameters, as by `tumble.calibrate`; else it is that at the maximum
-    of the likelihood. Returns a row for each method: whether it was accepted, the reasons if not, and for every
-    parameter p `error.p`, its value minus the truth, `u.p`, and `bound.p`, the root of the Cramér–Rao bound of the
-    observations, SI."""
+    With `intervals` u is integrated over the hyperparameters, as by `tumble.calibrate`; else it is u at the maximum of
+    the likelihood. Returns a row for each method: whether it was accepted, the reasons if not, and for every parameter
+    p `error.p`, its value minus the truth, `u.p`, and `bound.p`, the root of the Cramér–Rao bound of the observations,
+    SI."""
     rng = random_numbers(seed, number)
     scenario = scenario_of(Setup.of(**cell), rng)
     course = itinerary(scenario, random_numbers(seed, number).spawn(1)[0])

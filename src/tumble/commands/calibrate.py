@@ -37,24 +37,24 @@ _RESTS = params.Numbers("numbers of rests such as 3,7", int)
 )
 @click.argument("sessions", metavar="SESSION...", type=params.PATH, nargs=-1, required=True)
 @params.method(
-    params.METHOD_NAMES, params.METHOD_NAMES[:1], "How to estimate; again: another method beside it.", multiple=True
+    params.METHOD_NAMES, params.METHOD_NAMES[:1], "Method of estimation; repeat to compare methods.", multiple=True
 )
-@params.option("--iterations", "Passes of sequential and scalar; default 2.", type=click.IntRange(min=1))
+@params.option("--iterations", "Number of passes of sequential and scalar; default 2.", type=click.IntRange(min=1))
 @params.frame()
 @params.terms("full")
 @params.option(
     "--without", "Rests to leave out, by their numbers in the result, such as 3,7.", metavar="N,N", type=_RESTS
 )
-@click.option("--together", is_flag=True, help="Several sessions, at other temperatures, as one estimate.")
+@click.option("--together", is_flag=True, help="Make one estimate of sessions at different temperatures.")
 @params.option(
-    "--base", "Calibration whose biases get coefficients by a recording at rest over temperature.", type=params.FILE
+    "--base", "Calibration to whose biases a recording at rest adds temperature coefficients.", type=params.FILE
 )
 @params.out("Calibration file to write; default: calibration.json in the session folder.")
 @params.force("Replace a calibration file that came from another log or method.")
 @params.option("--truth", "truth.json of a simulated session: show true values beside the result.", type=params.FILE)
 @params.LOG
-@params.registry("For one session: a prior by other units of the device's type, instead of that of its grade.")
-@click.option("--budget", is_flag=True, help="Show what every u is made of, by source.")
+@params.registry("For one session: take the prior from other units of the device type, not from its grade.")
+@click.option("--budget", is_flag=True, help="Show the contributions to every u by source.")
 @params.JSON
 @params.EVERY
 def calibrate(
@@ -71,15 +71,15 @@ def calibrate(
 ) -> None:
     """Calibrate the device of SESSION, a folder with session.toml and a log.
 
-    Several sessions of one device are launches: every launch is shown with the mean and the standard deviation from
-    launch to launch, and --out is required. With --together they are one estimate by the method joint, with
-    coefficients over temperature. Several methods are compared: the first one's result is the one written. A device
-    that lies still while it warms or cools gets coefficients over temperature, with --base beside its calibration.
+    Several sessions of one device are launches: the result is their mean, with the standard deviation from launch to
+    launch, and --out is required. With --together they give one estimate by the method joint, with temperature
+    coefficients. If several methods are given, the result of the first is written. A device that lies still while it
+    warms or cools gets temperature coefficients; --base adds them to a calibration.
 
     A file that is no session.toml, or anything with --latitude, --height, --serial, --sample-rate, --accel, --gyro,
     --time or units, is a LOG in any dialect: a session is made of it first, as `tumble new` does, in the folder
-    LOG-session beside it. It is found there by the content of the log; other options make it anew. Files that are
-    positions of one recording are one LOG as a folder or as a 'PATTERN' in quotes; of other logs make a session each.
+    LOG-session beside it. For the same log it is reused; with other options it is made anew. Files that are
+    positions of one recording are one LOG as a folder or as a 'PATTERN' in quotes; for other logs make a session each.
     """
     from tumble.recording.session_file import read_session
     from tumble.run.calibrate import calibrate as calibrate_session
@@ -160,7 +160,7 @@ def _prior_by_type(registry: str, session: Session) -> DevicePrior:
 
 @contextmanager
 def _gyros_alone(logs: Sequence[Path], stated: dict[str, Any], out: Path | None, *, force: bool) -> Iterator[None]:
-    """If a log turns out to have gyros alone, calibrate their biases, write the file beside it, and exit."""
+    """If a log has only gyros, calibrate their biases, write the file beside it, and exit."""
     try:
         yield
     except GyrosAloneError:
@@ -179,18 +179,18 @@ def _gyros_alone(logs: Sequence[Path], stated: dict[str, Any], out: Path | None,
     epilog=params.examples("tumble ellipsoid positions.csv --unit g", "tumble ellipsoid volts.csv --scale=-2.4")
 )
 @click.argument("readings", metavar="READINGS.csv", type=params.FILE)
-@params.option("--unit", "Of the readings: V, count, g or m/s^2.", "V")
+@params.option("--unit", "Unit of the readings: V, count, g or m/s^2.", "V")
 @params.option(
     "--scale",
     "Nominal output per unit, signed by polarity; default: from the readings.",
     metavar="K|K,K,K",
     type=params.NUMBERS,
 )
-@params.option("--scale-per", "Unit that the scale is per: g (default) or m/s^2.")
+@params.option("--scale-per", "Unit of the input in --scale: g (default) or m/s^2.")
 @params.GRAVITY
-@params.option("--gravity-u", "Its standard uncertainty; default: 3e-4, of gravity from a latitude.", type=float)
-@params.option("--position/positions", "Where up roughly was in position N; repeat.", multiple=True, metavar="N=X,Y,Z")
-@params.option("--rows-per-position", "Rows of one position after another.", 1, type=int)
+@params.option("--gravity-u", "Standard uncertainty of --gravity; default: 3e-4 from a latitude.", type=float)
+@params.option("--position/positions", "Rough direction of up in position N; repeat.", multiple=True, metavar="N=X,Y,Z")
+@params.option("--rows-per-position", "Number of consecutive rows per position.", 1, type=int)
 @params.grade(None, "; default: any, as far as residuals allow")
 @params.terms("full")
 @params.frame([frame for frame in params.FRAMES if frame != "case"])

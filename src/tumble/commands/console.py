@@ -69,7 +69,7 @@ LONGEST_REASON = 300  # characters of a shortened reason, three lines of a termi
 
 
 def end(reasons: Iterable[str], kind: str = "", most: int | None = None) -> NoReturn:
-    """Print the reasons for a negative answer to standard error, and exit with status 1 if there are any, else 0.
+    """Print the reasons for a negative result to standard error, and exit with status 1 if there are any, else 0.
 
     With `most`, at most that many are printed, each shortened to LONGEST_REASON characters."""
     reasons = list(reasons)
@@ -104,7 +104,7 @@ _REDRAW_INTERVAL = 0.2  # s
 
 @contextmanager
 def working(what: str) -> Iterator[Report]:
-    """Yield a function that receives how much is done; a line on the terminal shows it with elapsed and remaining time.
+    """Yield a function that receives the amount done, which a terminal shows with elapsed and remaining time.
 
     The line is cleared at the end."""
     if _quiet() or sys.stderr is None or not sys.stderr.isatty():
@@ -161,7 +161,7 @@ def _counted(log: Log, report: Report) -> Iterator[Chunk]:
 def task_progress(what: str, out: Path) -> Iterator[Report]:
     """Yield a function that receives how many of the tasks of a folder are done, and shows them on a terminal.
 
-    If it is never called, all were done before, which is said."""
+    If it is never called, a note states that all were done before."""
     reports = []
     with working(what) as show_progress:
 

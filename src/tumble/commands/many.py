@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 def campaign(file: Path, out: Path, **place: Any) -> None:
     """Simulate and calibrate many times over the grid of FILE.toml.
 
-    It shows errors against the truth, their ratio to the Cramér–Rao bound, coverage and failures. A campaign that
-    was interrupted goes on where it was when the same command is given again.
+    It shows errors against the truth, their ratio to the Cramér–Rao bound, coverage and failures. The same command
+    resumes a campaign that was interrupted.
     """
     from tumble.campaigns.campaign import campaign, varying
     from tumble.views.campaign import summary_blocks
@@ -42,14 +42,14 @@ def campaign(file: Path, out: Path, **place: Any) -> None:
 
 @click.command(epilog=params.examples("tumble fleet 'sessions/*' -o results"))
 @click.argument("sessions", metavar="GLOB")
-@params.method(params.METHOD_NAMES, params.METHOD_NAMES[0], "How to estimate.")
+@params.method(params.METHOD_NAMES, params.METHOD_NAMES[0], "Method of estimation.")
 @params.JSON
 @params.CLUSTER
 def fleet(sessions: str, method: Method, out: Path, **place: Any) -> None:
     """Calibrate all sessions that GLOB matches, with a row for each.
 
-    A session that cannot be calibrated does not stop the others: its row says why. A run that was interrupted goes on
-    where it was when the same command is given again.
+    A session that cannot be calibrated does not stop the others: its row has the reason. The same command resumes a run
+    that was interrupted.
     """
     from tumble.campaigns.fleet import fleet
 

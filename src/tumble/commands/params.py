@@ -25,7 +25,7 @@ _Option = Callable[[_Command], _Command]
 
 
 class _NamedPath(click.Path):
-    """A path that is not empty, as it is from an unset variable: it would be the working folder."""
+    """A path that is not empty: an unset variable would otherwise mean the working folder."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         if value == "":
@@ -37,7 +37,7 @@ class _NamedPath(click.Path):
 
 
 class Numbers(click.ParamType[tuple[Any, ...]]):
-    """Numbers with commas between them, each larger than `above`; `count` of them unless 0."""
+    """Comma-separated numbers, each larger than `above`; exactly `count` of them unless it is 0."""
 
     name = "numbers"
 
@@ -85,11 +85,11 @@ def examples(*lines: str) -> str:
     return "\b\n" + "\n".join(("Examples:", *(f"  {line}" for line in lines)))
 
 
-def option(name: str, says: str, default: Any = None, **settings: Any) -> _Option:
+def option(name: str, text: str, default: Any = None, **settings: Any) -> _Option:
     """Return an option, with its default shown if it has one."""
     if default is not None:
         settings |= {"default": default, "show_default": True}
-    return click.option(*name.split("/"), help=says, **settings)
+    return click.option(*name.split("/"), help=text, **settings)
 
 
 def _group(*options: _Option) -> _Option:
@@ -109,40 +109,40 @@ def _grades_like(_context: click.Context, _parameter: click.Parameter, typed: st
     return [name for name in GRADES if name.startswith(typed)]
 
 
-def out(says: str, kind: click.Path = FILE, **settings: Any) -> _Option:
-    return click.option("-o", "--out", type=kind, help=says, **settings)
+def out(text: str, kind: click.Path = FILE, **settings: Any) -> _Option:
+    return click.option("-o", "--out", type=kind, help=text, **settings)
 
 
-def force(says: str = "Replace an existing file.") -> _Option:
-    return click.option("--force", is_flag=True, help=says)
+def force(text: str = "Replace an existing file.") -> _Option:
+    return click.option("--force", is_flag=True, help=text)
 
 
-def programme(says: str, default: str | None = None) -> _Option:
-    return option("--programme", says, default, shell_complete=programmes_like)
+def programme(text: str, default: str | None = None) -> _Option:
+    return option("--programme", text, default, shell_complete=programmes_like)
 
 
-def grade(default: str | None = usual_setup.GRADE, says: str = "") -> _Option:
-    return option("--grade", f"navigation, tactical, mems or consumer{says}.", default, shell_complete=_grades_like)
+def grade(default: str | None = usual_setup.GRADE, text: str = "") -> _Option:
+    return option("--grade", f"navigation, tactical, mems or consumer{text}.", default, shell_complete=_grades_like)
 
 
 def terms(default: str) -> _Option:
-    says = "Groups of parameters: all (full), or bias, scale factor and axis angles alone (linear)."
-    return option("--terms", says, default, type=click.Choice(["full", "linear"]))
+    text = "Groups of parameters: all (full), or bias, scale factor and axis angles alone (linear)."
+    return option("--terms", text, default, type=click.Choice(["full", "linear"]))
 
 
 def frame(frames: list[str] = FRAMES) -> _Option:
-    return option("--frame", "Of the result.", frames[0], type=click.Choice(frames))
+    return option("--frame", "Frame of the result.", frames[0], type=click.Choice(frames))
 
 
-def method(methods: list[str], default: str | list[str] | None, says: str, **settings: Any) -> _Option:
-    return option("--method", says, default, type=click.Choice(methods), **settings)
+def method(methods: list[str], default: str | list[str] | None, text: str, **settings: Any) -> _Option:
+    return option("--method", text, default, type=click.Choice(methods), **settings)
 
 
-def registry(says: str) -> _Option:
-    return option("--registry", says, metavar="FILE|URL")
+def registry(text: str) -> _Option:
+    return option("--registry", text, metavar="FILE|URL")
 
 
-WANT = option("--want/wanted", "E.g. accel.scale=3.5ppm; repeat.", multiple=True, metavar="GROUP=VALUE")
+WANT = option("--want/wanted", "Wanted u, e.g. accel.scale=3.5ppm; repeat.", multiple=True, metavar="GROUP=VALUE")
 JSON = click.option(
     *("--json", "as_json"),
     is_flag=True,
@@ -151,35 +151,35 @@ JSON = click.option(
     help="Print the result as JSON, in SI, instead of tables.",
 )
 EVERY = click.option("--all", "every", is_flag=True, help="Show every parameter and every table.")
-CERTIFICATE = option("--certificate", "TOML file with laboratory, customer, number: of a certificate.", type=FILE)
+CERTIFICATE = option("--certificate", "TOML file of a certificate: laboratory, customer, number.", type=FILE)
 
 
 def registry_place(**settings: Any) -> _Option:
-    says = "The registry: an SQLite file or postgresql://USER@HOST/NAME."
-    return option("--registry/place", says, metavar="FILE|URL", envvar="TUMBLE_REGISTRY", show_envvar=True, **settings)
+    text = "The registry: an SQLite file or postgresql://USER@HOST/NAME."
+    return option("--registry/place", text, metavar="FILE|URL", envvar="TUMBLE_REGISTRY", show_envvar=True, **settings)
 
 
 REGISTRY = registry_place()
 GRAVITY = option("--gravity", "Measured gravity, m/s²; default: normal gravity.", type=float)
-HEIGHT = option("--height", "Of the place, m over the sea; unstated, 1300 m are in u.", type=float, metavar="M")
-LATITUDE = option("--latitude", "Of the place, ° north.", type=_latitude, metavar="DEGREES")
+HEIGHT = option("--height", "Height of the place above sea level, m; default: 0, u 1300 m.", type=float, metavar="M")
+LATITUDE = option("--latitude", "Latitude of the place, ° north.", type=_latitude, metavar="DEGREES")
 SERIAL = option("--serial", "Serial number of the device; default: the name of FOLDER or LOG.", metavar="NUMBER")
 SAMPLE_RATE = "--sample-rate", "Samples per second"
 COLUMNS = _group(
-    option(SAMPLE_RATE[0], f"Of a LOG: {SAMPLE_RATE[1]}, instead of the times in it.", type=float, metavar="HZ"),
-    option("--accel", "Of a LOG: columns of the accelerometers, names or numbers from 1.", metavar="N,N,N"),
-    option("--gyro", "Of a LOG: columns of the gyros, names or numbers from 1.", metavar="N,N,N"),
-    option("--time", "Of a LOG: column of the time, its name or number from 1.", metavar="N"),
-    option("--accel-unit", "Of a LOG: unit of the accelerometers, as in session.toml.", metavar="UNIT"),
-    option("--gyro-unit", "Of a LOG: unit of the gyros, as in session.toml.", metavar="UNIT"),
+    option(SAMPLE_RATE[0], f"For a LOG: {SAMPLE_RATE[1]}, instead of its times.", type=float, metavar="HZ"),
+    option("--accel", "For a LOG: columns of the accelerometers, names or numbers from 1.", metavar="N,N,N"),
+    option("--gyro", "For a LOG: columns of the gyros, names or numbers from 1.", metavar="N,N,N"),
+    option("--time", "For a LOG: column of the time, its name or number from 1.", metavar="N"),
+    option("--accel-unit", "For a LOG: unit of the accelerometers, as in session.toml.", metavar="UNIT"),
+    option("--gyro-unit", "For a LOG: unit of the gyros, as in session.toml.", metavar="UNIT"),
 )
 """Options that describe the columns of a log without a session."""
 LOG = _group(SERIAL, LATITUDE, HEIGHT, COLUMNS)
-"""Options from which, with a log, a session is made."""
+"""Options for making a session of a log."""
 
 
 def given_of(options: dict[str, Any]) -> Given:
-    """Take the options that describe a log out of all options."""
+    """Remove the options that describe a log from `options` and return them."""
     from tumble.drafting.new_session import Given
 
     names = "serial", "latitude", "height", "sample_rate", "programme", "message", "time", "accel_unit", "gyro_unit"
@@ -194,12 +194,12 @@ TABLE_ERROR = option("--table-error", "Largest error of a position, °.", usual_
 MOUNTING_ERROR = option(
     "--mounting-error", "Largest error of the mounting, °.", usual_setup.MOUNTING_ERROR_DEG, type=float
 )
-SITE_LATITUDE = option("--latitude", "Of the site, ° north.", usual_setup.LATITUDE_DEG, type=_latitude)
+SITE_LATITUDE = option("--latitude", "Latitude of the site, ° north.", usual_setup.LATITUDE_DEG, type=_latitude)
 NOISELESS = click.option(
     "--noiseless",
     is_flag=True,
-    help="No noise, no instability and, in plans, no parameters beyond bias, scale factor and axis angles: "
-    "errors of the method alone.",
+    help="Only errors of the method: no noise, no instability and, in plans, no parameters beyond bias, scale "
+    "factor and axis angles.",
 )
 PACE = _group(
     option("--rest", "Duration of a rest, s.", usual_setup.ON_TABLE.rest, type=float),
@@ -213,7 +213,7 @@ SETUP = _group(
     PACE,
     SITE_LATITUDE,
     GRAVITY,
-    option("--gravity-u", "Its uncertainty, m/s².", usual_setup.GRAVITY_U, type=float),
+    option("--gravity-u", "Uncertainty of gravity, m/s².", usual_setup.GRAVITY_U, type=float),
     option("--clock-ppm-u", "Uncertainty of the time base, ppm.", 30.0, type=float),
     NOISELESS,
 )
@@ -231,19 +231,19 @@ def setup_of(options: dict[str, Any]) -> Setup:
 
 
 CLUSTER = _group(
-    out("Folder for the results; resumed if begun.", FOLDER, required=True),
-    option("--workers", "Processes here; default: one a core.", type=click.IntRange(min=1)),
-    option("--cluster", "Compute on a dask cluster that is there.", metavar="tcp://HOST:PORT"),
+    out("Folder of the results; an interrupted run is resumed.", FOLDER, required=True),
+    option("--workers", "Number of local processes; default: one per core.", type=click.IntRange(min=1)),
+    option("--cluster", "Compute on an existing dask cluster.", metavar="tcp://HOST:PORT"),
     click.option("--in-process", "serial", is_flag=True, help="Compute in this process."),
 )
-"""Options on where many tasks are computed, and their folder."""
+"""Options of the folder of many tasks, and of where they are computed."""
 
 
 class Knowledge(Protocol):
-    """Earlier calibrations of devices and types, as a registry has them."""
+    """Earlier calibrations of devices and device types, such as those in a registry."""
 
     def prior(self, model: str, *, without: str | None = None) -> DevicePrior:
-        """Return the prior from the units of a type, without one serial number."""
+        """Return the prior from the units of a type, except the unit with one serial number."""
         ...
 
     def launches(self, serial: str) -> tuple[LaunchVariances, ...]:

@@ -22,11 +22,11 @@ _COUNTS = params.Numbers("counts a g and a deg/s with a comma between", count=2,
     )
 )
 @click.argument("calibrations", metavar="CALIBRATION...", type=params.FILE, nargs=-1, required=True)
-@params.out("File to write: .html; of a certificate also .pdf.", required=True)
+@params.out("File to write: .html; for a certificate also .pdf.", required=True)
 @params.option("--limits", "Acceptance limits (TOML): judge every parameter by them.", type=params.FILE)
 @params.CERTIFICATE
 def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certificate: Path | None) -> None:
-    """Report of a calibration, or of several of one device: a page that needs nothing else and prints well."""
+    """Report of one or several calibrations of a device: a self-contained page that prints well."""
     from types import FunctionType
 
     from tumble.plugins import load
@@ -47,7 +47,7 @@ def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certi
 
 
 class _ExportCommand(click.Command):
-    """A command whose help lists the export targets with a few words on each."""
+    """A command whose help lists and describes the export targets."""
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         from tumble.export import described_targets
@@ -80,17 +80,17 @@ class _Target(click.ParamType[str]):
 )
 @click.argument("calibration", type=params.FILE)
 @params.option("--to", "Format of the file, see below.", type=_Target())
-@params.option("--template", "A template of your own instead.", type=params.FILE)
+@params.option("--template", "Your own template, instead of --to.", type=params.FILE)
 @params.out("File to write.", required=True)
 @params.option("--noise", "kalibr: noise from this session's longest rest.", metavar="SESSION", type=params.PATH)
 @params.CERTIFICATE
-@params.option("--imu", "px4, ardupilot, also thermal: of the N-th IMU, from 1.", metavar="N", type=int)
+@params.option("--imu", "px4, ardupilot, also -thermal: number of the IMU, from 1.", metavar="N", type=int)
 @params.option(
     "--sensor-ids", "px4-thermal: the numbers in CAL_ACC0_ID and CAL_GYRO0_ID.", metavar="ACCEL,GYRO", type=_IDS
 )
 @params.option(
     "--counts",
-    "iNav, Betaflight, …: counts a g and a °/s; default: the recording's.",
+    "iNav, Betaflight, …: counts per g and per °/s; default: those of the recording.",
     metavar="ACCEL,GYRO",
     type=_COUNTS,
 )
@@ -98,7 +98,7 @@ class _Target(click.ParamType[str]):
 def export(calibration: Path, to: str | None, template: Path | None, out: Path, force: bool, **options: Any) -> None:
     """Write CALIBRATION, a calibration file, in the format of another program.
 
-    What that format has no place for is said on standard error, and in the file where it has comments.
+    What the format cannot hold is listed on standard error, and in comments of the file if it has comments.
     """
     from tumble.export import export_calibration
     from tumble.files import whole_file

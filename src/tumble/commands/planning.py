@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 @click.command(epilog=params.examples("tumble programme cube-26 -o sheet.html"))
 @click.argument("name", metavar="[NAME]", required=False, shell_complete=params.programmes_like)
-@params.option("--attitude/attitudes", "Instead of NAME: a position's attitude code; repeat.", multiple=True)
+@params.option("--attitude/attitudes", "Attitude code of a position, instead of NAME; repeat.", multiple=True)
 @params.PACE
 @params.out("Write the sheet with a picture of each position: .html, .pdf or .svg.")
-@params.option("--serial", "Of the device, on the sheet; default: a line for it.")
-@params.option("--number", "Of the sheet, likewise.")
-@params.option("--revision", "Of the sheet, likewise.")
+@params.option("--serial", "Serial number of the device; default: a blank line.")
+@params.option("--number", "Number of the sheet; default: a blank line.")
+@params.option("--revision", "Revision of the sheet; default: a blank line.")
 def programme(
     name: str | None, attitudes: tuple[str, ...], rest: float, turn_rate: float, out: Path | None, **sheet: str | None
 ) -> None:
@@ -55,18 +55,18 @@ def programme(
     )
 )
 @click.argument("programme", default=PROGRAMME, shell_complete=params.programmes_like)
-@params.option("--attitude/attitudes", "Instead of PROGRAMME: an attitude code; repeat.", multiple=True)
+@params.option("--attitude/attitudes", "Attitude code of a position, instead of PROGRAMME; repeat.", multiple=True)
 @params.method(
     ["joint", "sequential", "scalar"], "joint", "Joint: what `calibrate` will state; the others: formulas of the paper."
 )
 @params.terms("full")
-@params.option("--iterations", "Passes of sequential and scalar.", 2, type=click.IntRange(1, 5))
+@params.option("--iterations", "Number of passes of sequential and scalar.", 2, type=click.IntRange(1, 5))
 @params.SETUP
 @params.WANT
 @click.option("--sources", is_flag=True, help="Show u by source.")
-@click.option("--accel-only", is_flag=True, help="Accelerometers alone, without gyros and turns.")
-@params.option("--pivot", "Instead of PROGRAMME: so long on a tripod head or ball joint, no rests.", metavar="SECONDS")
-@params.option("--hand", "Instead of PROGRAMME: so long in the hand, no rests.", metavar="SECONDS")
+@click.option("--accel-only", is_flag=True, help="Plan for accelerometers only, without gyros and turns.")
+@params.option("--pivot", "Duration of motion on a tripod head or ball joint, instead of PROGRAMME.", metavar="SECONDS")
+@params.option("--hand", "Duration of motion in the hand, instead of PROGRAMME.", metavar="SECONDS")
 @params.JSON
 def plan(
     programme: str,
@@ -111,8 +111,8 @@ def plan(
 
 @click.command(epilog=params.examples("tumble simulate launch --programme rough-table --seed 1"))
 @click.argument("folder", type=params.PATH)
-@params.programme("Built-in programme to go through.", PROGRAMME)
-@params.option("--positions", "Hand-held instead: this many positions in any attitude.", type=int)
+@params.programme("Built-in programme of the session.", PROGRAMME)
+@params.option("--positions", "Number of positions by hand, in any attitude, instead of a programme.", type=int)
 @params.grade()
 @params.option("--rest", f"Duration of a rest, s; default {ON_TABLE.rest:g}, by hand {BY_HAND.rest:g}.", type=float)
 @params.option(
@@ -127,10 +127,10 @@ def plan(
 @params.terms("linear")
 @params.NOISELESS
 @params.option("--vibration", "Vibration throughout, m/s² at Hz, e.g. 0.05@30.", metavar="AMPLITUDE@HZ")
-@params.option("--temperature", "A thermometer, °C: 25, -10:60, -10:60:-10 or 22+15@600 (s).", metavar="PROFILE")
-@params.option("--format/log_format", "Of the log.", "parquet", type=click.Choice(["csv", "parquet", "counts"]))
+@params.option("--temperature", "Temperature, °C: 25, -10:60, -10:60:-10 or 22+15@600 (s).", metavar="PROFILE")
+@params.option("--format/log_format", "Format of the log.", "parquet", type=click.Choice(["csv", "parquet", "counts"]))
 @params.option("--seed", "Number of the device.", 0, type=click.IntRange(min=0))
-@params.option("--launch", "Launch of that device.", 1, type=click.IntRange(min=0))
+@params.option("--launch", "Number of the launch of that device.", 1, type=click.IntRange(min=0))
 def simulate(
     folder: Path,
     vibration: str | None,
@@ -159,7 +159,7 @@ def simulate(
 def example(folder: Path) -> None:
     """Write an example into FOLDER: a log in counts as a cheap logger writes it, and truth.json with its true values.
 
-    A simulated MEMS device that was put down in 30 positions by hand, always the same.
+    The log is always the same: a simulated MEMS device that was put down by hand in 30 positions.
     """
     from tumble.planning.setup import Setup
     from tumble.simulation.session import simulate_session

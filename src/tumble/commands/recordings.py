@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 @click.argument("more", metavar="[LOG]...", nargs=-1, type=params.PATH)
 @params.option("--log", "The recording: a log, a folder, a pattern, a bag.", type=params.PATH, multiple=True)
 @params.LOG
-@params.programme("Built-in programme that was gone through.")
-@params.option("--message", "Topic or message of a recording, where there are several.", metavar="NAME")
+@params.programme("Built-in programme that was recorded.")
+@params.option("--message", "Topic or message to use if the recording has several.", metavar="NAME")
 def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: Any) -> None:
     """Write a commented session.toml for a log into FOLDER, and say what was guessed.
 
@@ -54,10 +54,10 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
 def session_folders(
     recordings: Sequence[Path], options: dict[str, Any], *, every: bool = False
 ) -> Iterator[Sequence[Path]]:
-    """Yield the folders of sessions; for a log that of the session made from it, which is removed if the block fails.
+    """Yield the folders of sessions; a session made from a log is removed if the block fails.
 
-    A log is a file that is no session.toml, a folder of files without one, or anything given with `options` of
-    `params.LOG`. With `every`, notes on how each part of the session was determined are printed."""
+    A log is a file other than session.toml, a folder without one, or anything given with `options` of `params.LOG`.
+    With `every`, notes on how each part of the session was determined are printed."""
     first, stated = recordings[0], any(value is not None for value in options.values())
     if not stated and (len(recordings) > 1 or not _is_log(first)):
         yield recordings
@@ -121,9 +121,9 @@ def gyros_of(log: Path, given: Given) -> GyroRests:
 @params.option("--plot/picture", "Draw the recording with its rests into .svg, .png or .pdf.", type=params.FILE)
 @params.JSON
 def inspect(recording: Path, picture: Path | None, **options: Any) -> None:
-    """Show the rests and turns found in SESSION or in LOG, of gyros alone too, and what was rejected and why.
+    """Show the rests and turns found in SESSION or in LOG, and what was rejected and why.
 
-    Of a LOG a session is made beside it, as `tumble calibrate` does.
+    LOG may have only gyros. A session is made beside it, as `tumble calibrate` does.
     """
     from tumble.run.observed import inspect_session
     from tumble.views.inspection import inspection_blocks, plot
@@ -162,9 +162,9 @@ def inspect(recording: Path, picture: Path | None, **options: Any) -> None:
 def noise(recordings: tuple[Path, ...], picture: Path | None, **options: Any) -> None:
     """Allan deviation: the noise of every sensor, from the longest rest of SESSION or from all of a LOG at rest.
 
-    LOG is a log in any dialect, of gyros alone too, or a folder of files: its columns, units and times are found as
-    `tumble new` finds them, where no option says them. Several of one device, all sessions or all logs alike, are
-    taken together.
+    LOG is a log in any dialect, also one with only gyros, or a folder of files: columns, units and times that no option
+    gives are found as by `tumble new`. Several recordings of one device, either sessions or logs, are evaluated
+    together.
     """
     from tempfile import TemporaryDirectory
 

@@ -25,10 +25,8 @@ if TYPE_CHECKING:
 @click.argument("calibration", type=params.FILE)
 @click.argument("readings", type=params.PATH, required=False)
 @params.option("--listen", "Check with a stream instead: file:LOG.csv, stdin, udp:PORT, serial:DEVICE:BAUD, …")
-@params.option(
-    "--session", "Session that describes columns and units of a stream that does not send SI.", type=params.PATH
-)
-@params.registry("Judge by how much the device changes from launch to launch, by its calibrations in a registry.")
+@params.option("--session", "Session that describes columns and units of the stream; default: SI.", type=params.PATH)
+@params.registry("Registry with calibrations of the device, which show its changes from launch to launch.")
 @params.JSON
 def check(
     calibration: Path, readings: Path | None, listen: str | None, session: Path | None, registry: str | None
@@ -38,7 +36,7 @@ def check(
     READINGS are a session with three or more rests in any attitude, or a table of readings at rest. Each rest is
     compared with gravity, and the rests and turns of a session test every parameter.
 
-    A stream is checked rest by rest until it ends or is stopped with Ctrl-C. CALIBRATION is never changed.
+    A stream is checked rest by rest until it ends or is stopped with Ctrl-C. The file CALIBRATION is never changed.
 
     Exit status 0: no change is shown; 1: something has changed.
     """
@@ -93,7 +91,7 @@ def _show(event: Event) -> None:
 def compare(first: Path, second: Path) -> None:
     """Differences of two calibration files in units of their combined uncertainty, and E_n numbers.
 
-    Exit status 0: the largest |E_n| and χ² are within chance (probability 0.01 of so many, and 0.001); 1: otherwise.
+    Exit status 0: chance explains the largest |E_n| (probability 0.01 of all together) and χ² (0.001); 1: otherwise.
     """
     from tumble.use.compare import compare_calibrations
     from tumble.views.checks import comparison_blocks

@@ -1,1 +1,1 @@
-"""From a log or recording as it comes to a session: which columns are sensors, their units, rates, scales and times."""
+"""Drafts of sessions for logs of unknown form: columns of sensors, their units, rates, scales and times."""

@@ -1,6 +1,6 @@
-"""Identification of the columns of text and Parquet files: as stated by the user, by names and units, and by numbers.
+"""Identification of the columns of text and Parquet files by statements of the user, names and units, and numbers.
 
-Names and units are taken as given; numbers only decide which columns without telling names are sensors or a time.
+Names and units are trusted; numbers only decide which columns without meaningful names are sensors or a time.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from tumble.recording.readers import ENDINGS, source_of
 from tumble.recording.text.dialect import LINE_BYTES, SEEN_BYTES, Dialect, dialect_of, is_clock
 from tumble.recording.text.pieces import opened
 
-_FEWEST_FILES, _LONGEST_ROW = 50, 4096  # of files of a row each; bytes
-_GROWING_SHARE = 0.9  # of the steps of stamps that are those of rows
+_FEWEST_FILES, _LONGEST_ROW = 50, 4096  # number of files with one row each; bytes
+_GROWING_SHARE = 0.9  # of the steps of stamps, if these are the times of rows
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
@@ -40,13 +40,13 @@ def identify_log(
 ) -> ForeignLog:
     """Return one log of text and Parquet files, with its columns identified.
 
-    `stated` and `units` are the user's statements by role and by kind of sensor. Files that are written alike and whose
-    columns have no telling names are identified together: sensors show in all positions, not in a file of one. Raises
-    InputError for files that are no logs, or not written alike."""
+    `stated` and `units` are the user's statements by role and by kind of sensor. Files in one dialect whose columns
+    have no meaningful names are identified together, because one position is not enough to recognise sensors. Raises
+    InputError for files that are no logs, or are in different dialects."""
     logs: list[ForeignLog] = []
     errors: list[NoLogError] = []
     omitted: tuple[str, ...] = ()
-    # text without rows beside logs, as the metadata of a phone, is left out
+    # text without rows, such as the metadata of a phone, is left out
     for file in _joined_rows(files, folder):
         try:
             logs += [log.with_stated(stated, units) for log in _logs_in(file, folder)]
@@ -86,7 +86,7 @@ def identify_log(
 
 
 def _joined_rows(files: Sequence[Path], folder: OutputFolder) -> Sequence[Path]:
-    """Join many files of one row each, as the oxts/data of KITTI; return other files as they are."""
+    """Join many files of one row each, such as oxts/data of KITTI; return other files unchanged."""
     if len(files) < _FEWEST_FILES or any(file.stat().st_size > _LONGEST_ROW for file in files):
         return files
     rows = [file.read_bytes().strip() for file in files]
@@ -98,7 +98,7 @@ def _joined_rows(files: Sequence[Path], folder: OutputFolder) -> Sequence[Path]:
 
 
 def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
-    """Return the log in a file, or one for each sensor if each row is of one sensor."""
+    """Return the log in a file, or one log per sensor if each row belongs to one sensor."""
     check_format(file, recording=file.suffix.lower() in NAMED)
     if file.suffix.lower() == ".parquet":
         return [ForeignLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
@@ -152,9 +152,9 @@ def _numeric_columns(log: ForeignLog) -> list[str]:
 
 
 def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
-    """Identify sensors by their numbers where names leave them open.
+    """Identify sensors by their numbers where names do not identify them.
 
-    Accelerometers and gyros are sought among columns whose names do not exclude it; beside named accelerometers, gyros
+    Accelerometers and gyros are sought among columns whose names do not exclude it; if accelerometers are named, gyros
     are sought among columns without names."""
     named, names = log.columns, list(log.names)
     accel = named.triads[ACCEL].columns if ACCEL in named.triads else ()
@@ -191,7 +191,7 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
 
 
 def _with_gravity(log: ForeignLog) -> ForeignLog:
-    """Take the second triad of accelerometers if it reads gravity and the first does not: phones write several."""
+    """Choose the second triad of accelerometers if it reads gravity and the first does not: phones write several."""
     first = log.columns.triads[ACCEL].columns
     second = columns_by_name([name for name in log.cells if name not in first]).triads.get(ACCEL)
     if second is None or log.reads_gravity(first) or not log.reads_gravity(second.columns):
@@ -202,7 +202,7 @@ def _with_gravity(log: ForeignLog) -> ForeignLog:
 
 
 def _with_finest_time(log: ForeignLog) -> ForeignLog:
-    """Take the first of several times that grows from row to row, else the first that grows at all."""
+    """Choose the first of several times that grows from row to row, else the first that grows at all."""
     if len(log.columns.times) < 2:
         return log
     growing: list[ForeignLog] = []
@@ -232,7 +232,7 @@ def _without_empty_thermometers(log: ForeignLog) -> ForeignLog:
 
 
 def _parts_with_own_times(log: ForeignLog) -> list[ForeignLog]:
-    """Return a log for each kind of sensor in a table in which each has another time before its columns."""
+    """Return a log for each kind of sensor if each kind has a time of its own before its columns."""
     names, numeric, parts = list(log.names), _numeric_columns(log), list[ForeignLog]()
     for kind, sensors in log.columns.triads.items():
         if kind not in (ACCEL, GYRO):
@@ -248,7 +248,7 @@ def _parts_with_own_times(log: ForeignLog) -> list[ForeignLog]:
 
 
 def _with_time(log: ForeignLog) -> ForeignLog:
-    """Take a column that grows as times do if no column is named as the time."""
+    """Choose a column that grows like a time if no column is named as the time."""
     if log.columns.time is not None:
         return log
     sensors = {c for triad in log.columns.triads.values() for c in triad.columns}

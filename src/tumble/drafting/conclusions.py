@@ -1,5 +1,5 @@
 """Units, scales and times of a draft from the hypothesis of least cost, with remarks on how they were found and doubts
-about hypotheses that are hardly less likely."""
+about hypotheses that are nearly as likely."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from tumble.run.observed import Progress, inspect_session
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
 
 _GRAVITY_TOLERANCE = 0.3  # of gravity, for accelerometers in a stated unit
-_LARGEST_BIAS = 20.0  # °/s: gyros that read more at rest have an offset
-_MOST_RATES = 8  # in a doubt
+_LARGEST_BIAS = 20.0  # °/s; gyros that read more at rest have an offset
+_MOST_RATES = 8  # rates listed in a doubt
 _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
 
@@ -66,7 +66,7 @@ def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS) ->
 def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> Iterator[str]:
     """Yield doubts about accelerometers that do not read gravity in a unit.
 
-    Raises InputError if they do not and are named as linear acceleration."""
+    Raises InputError if such accelerometers are named as linear acceleration."""
     if ACCEL not in draft.triads:
         return
     unit, columns = draft.unit(ACCEL), draft.triads[ACCEL].columns
@@ -99,12 +99,12 @@ def _doubts_of_units(
     for kind, sensors, scale in ((ACCEL, "accelerometers", best.accel), (GYRO, "gyros", best.gyro)):
         if scale is None or kind not in draft.triads:
             continue
-        alone = "the accelerometers alone are calibrated, " if ACCEL in draft.triads else ""
+        only = "the accelerometers alone are calibrated, " if ACCEL in draft.triads else ""
         scales = [h.accel if kind == ACCEL else h.gyro for h in rivals if kind in h.differs(best)]
         others = " or ".join(dict.fromkeys(rival.label for rival in scales if rival is not None and rival.listed))
         if log[kind]["unit"] == "count" and "scale" not in log[kind]:
             yield (
-                f"no turn tells what the gyros' counts are worth: {alone}noise is as if one were 1 deg/s; put the data "
+                f"no turn tells what the gyros' counts are worth: {only}noise is as if one were 1 deg/s; put the data "
                 "sheet's scale into [log.gyro]"
             )
         elif others and draft.unit(kind) is None:
@@ -142,14 +142,14 @@ def _time_remarks(draft: Draft, best: Hypothesis) -> list[str]:
 
 
 def _measured_gyro_scale(best: Hypothesis, gyro: SensorScale) -> float:
-    """Return the reading of the gyros for 1 °/s by the turns, near the scale of a hypothesis."""
+    """Return the reading of the gyros for 1 °/s from the turns, near the scale of a hypothesis."""
     assert best.profile is not None
     rate = best.times.rate
     return best.profile.found(math.log(gyro.reading(rate) * rate / DEGREE)) * DEGREE / rate
 
 
 def _scale_remark(kind: str, scale: SensorScale, evidence: Evidence, best: Hypothesis) -> str:
-    """Return a nominal scale in words, beside the measured one."""
+    """Return a sentence with a nominal and the measured scale."""
     measured = evidence.length if kind == ACCEL else _measured_gyro_scale(best, scale)
     off, per = f"({math.log(measured / scale.reading(best.times.rate)):+.1%})", COUNTS_PER[kind]
     if scale.unit is not None:

@@ -1,4 +1,4 @@
-"""Files of a log, given as a file, a folder, a pattern or an archive; formats that cannot be read are refused."""
+"""Files of a log that is given as a file, a folder, a pattern or an archive; unreadable formats are refused."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ _START_BYTES = 4096
 _BINARY = re.compile(rb"[\x01-\x08\x0e-\x1a\x1c-\x1f\x7f]")
 _BINARY_SHARE = 0.02  # of the bytes of a text, at most
 NAMED = (".parquet", ".gz", ".zst")
-"""Endings of files that are no text, beside those of recordings."""
+"""Endings of binary files other than recordings."""
 _FORMATS = tomllib.loads((Path(__file__).parent / "formats.toml").read_text(encoding="utf-8"))
 
 
 def files_of(log: Path) -> list[Path]:
-    """Return the files of a path: itself, those of a folder, or those that match a pattern.
+    """Return the file at a path, the files of a folder, or those that match a pattern.
 
     They are in the order of the numbers in their names: pos2 before pos10. Raises InputError if there are none."""
     pattern = not log.exists() and bool(set(log.name) & set("*?["))
@@ -54,7 +54,7 @@ def files_of(log: Path) -> list[Path]:
 
 
 def unzipped(archive: Path, folder: OutputFolder) -> list[Path]:
-    """Write the files of an archive into a folder; return any other file as it is.
+    """Write the files of an archive into a folder; return any other file unchanged.
 
     Hidden files and those that are no logs are left out. Raises InputError for an archive that is damaged or locked,
     empty, or larger than readings are."""
@@ -83,11 +83,11 @@ def unzipped(archive: Path, folder: OutputFolder) -> list[Path]:
 
 
 class NoLogError(InputError):
-    """A file that is no log, which is left out beside others."""
+    """A file that is no log; it is left out if there are others."""
 
 
 def check_format(file: Path, *, recording: bool) -> None:
-    """Raise NoLogError that names the format of a file that cannot be read, by its first bytes, and what to do.
+    """Raise NoLogError for an unreadable format, recognised by the first bytes, with the format and what to do.
 
     `recording`: the file has the ending of a recording, or one in NAMED."""
     with readable(file), file.open("rb") as stream:

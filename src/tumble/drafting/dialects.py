@@ -1,7 +1,7 @@
-"""Copies of text logs that are no tables of numbers, as tables in the session's folder.
+"""Conversion of text logs that are no tables of numbers to tables in the session's folder.
 
-A form of text has a reader of its lines, which gives names and values, or a function that recognises it in the first
-lines of a log. Forms with the values of all columns in a line:
+Each form of text has a parser of its lines, which returns names and values, or a function that recognises it in the
+first lines of a log. Forms with the values of all columns in a line:
 
 * sentences with a checksum;
 * names before the values: `ax=0.01 ay=-0.02`, `acc: 0.1, 0.2, 9.8; gyro: …`, `Acc (mg) [ 12.2, …`, `Rotation X: 0.01,
@@ -13,7 +13,7 @@ lines of a log. Forms with the values of all columns in a line:
 * rows in brackets or behind the clock of a serial monitor, and marks between thousands.
 
 Forms with a line for each sensor, `ACC,1200,0.01,0.02,9.81` and then `GYRO,1202,…`, become a table for each. Lines that
-do not match the form are copied as they are, so that the reader of tables reports them.
+do not match the form are copied unchanged, so that the reader of tables reports them.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ _ALIKE_SHARE = 0.8  # of the first lines
 ParsedLine = tuple[str, tuple[str, ...], Sequence[str]]
 """Kind of a line in words, names of its columns, empty if it has none, and its values."""
 Rows = Iterator[tuple[str, Sequence[str]]]
-"""Sensor of each row, "" for all together, and its values."""
+"""Sensor of each row, "" for all sensors, and the values of the row."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class TextForm:
-    """How a text log is written: a reader of the rows in its lines, names of the columns by sensor, and a title."""
+    """Form of a text log: a reader of the rows in its lines, names of the columns by sensor, and a title."""
 
     rows: Callable[[Iterable[str]], Rows]
     names: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -61,7 +61,7 @@ class TextForm:
 
 
 def uniform_lines(lines: Sequence[str], parse: Callable[[str], ParsedLine | None], title: str) -> TextForm | None:
-    """Return the form of lines most of which parse as one kind, with equal names and numbers of values; else None."""
+    """Return the form of lines if most of them parse as one kind with equal names and numbers of values; else None."""
     counts = Counter((kind, names, len(values)) for kind, names, values in filter(None, map(parse, lines)))
     if not counts:
         return None
@@ -162,7 +162,7 @@ def row_behind_clock(line: str) -> ParsedLine | None:
 
 # -------------------- names before the values --------------------
 
-# A word matches from its first letter only, so that a line of nothing but letters takes no longer than another one.
+# A word matches only from its first letter, so that matching takes no longer for a line of letters only.
 _KEY = re.compile(
     r"(?<![^\W\d])([^\W\d][\w.]*+)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))"
 )
@@ -181,16 +181,16 @@ _QUANTITIES = ("velocity", "acceleration", "rate", "field")
 
 
 def named_values(line: str) -> ParsedLine | None:
-    """Parse a line of names, each before its number or its three numbers."""
+    """Parse a line of names, each followed by its number or its three numbers."""
     values = values_by_name(line)
     return ("", tuple(values), list(values.values())) if values else None
 
 
 def values_by_name(line: str) -> dict[str, str]:
-    """Return the numbers of a line by the names before them, and a time before the first name.
+    """Return the numbers of a line by the names before them, with a time before the first name if there is one.
 
     The name of an axis is completed by that of the sensor before several axes, `GYRO: X=0.1, Y=…`, else by the words
-    before it, `Linear Accel X = 0.1, Y = …`, which also hold for the axes behind it."""
+    before it, `Linear Accel X = 0.1, Y = …`, which also apply to the following axes."""
     keys, groups = (list(pattern.finditer(line[:_LONGEST_LINE])) for pattern in (_KEY, _GROUP))
     if not keys:
         return {}
@@ -241,7 +241,7 @@ def _samples(lines: Iterable[str]) -> Iterator[tuple[dict[str, str], int]]:
         if title is not None:
             titles.append((indent, title[1]))
             continue
-        unit = _LAST_UNIT.search(line[:_LONGEST_LINE])  # of all numbers of the line
+        unit = _LAST_UNIT.search(line[:_LONGEST_LINE])  # of all numbers in the line
         prefix, suffix = "".join(f"{name}_" for _, name in titles), f" [{unit[1]}]" if unit else ""
         values = {f"{prefix}{name}{suffix}": number for name, number in values_by_name(line).items()}
         if values.keys() & sample.keys():
@@ -295,7 +295,7 @@ def rows_named_in_comments(lines: Sequence[str]) -> TextForm | None:
 
 
 def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
-    """Return the form of rows with a column that names the sensor; of rows of an IMU among others only these stay."""
+    """Return the form of rows with a column that names the sensor; if some are of an IMU, only these rows are kept."""
     dialect_and_top = dialect_of(start)
     if dialect_and_top is None:
         return None
@@ -328,7 +328,7 @@ def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
 
 
 def _are_sensor_labels(words: Sequence[str], dialect: Dialect) -> bool:
-    """Return whether cells are alternating names of sensors, one of them of accelerometers or an IMU."""
+    """Return whether cells are alternating names of sensors, including accelerometers or an IMU."""
     counts, changes = Counter(words), sum(a != b for a, b in pairwise(words))
     return (
         2 <= len(counts) <= _MOST_SENSORS
@@ -357,9 +357,9 @@ def form_of(lines: Sequence[str]) -> TextForm | None:
 
 
 def copy_as_tables(file: Path, start: bytes, folder: OutputFolder) -> tuple[list[Path], tuple[str, ...]] | None:
-    """Copy a text log of one of the forms, which has these first bytes, as a table or as one for each sensor.
+    """Copy a text log of one of the forms, with the first bytes `start`, as a table or as one table per sensor.
 
-    Returns the copies and remarks; None for a log that can be read as it is. Raises InputError for too many sensors."""
+    Returns the copies and remarks; None for a log that can be read directly. Raises InputError for too many sensors."""
     encoding = encoding_of(start)
     form = form_of(re.split("[\r\n]+", start.decode(encoding, errors="replace"))[:-1]) or rows_by_sensor(file, start)
     if form is None:

@@ -20,13 +20,13 @@ from tumble.recording.text.dialect import DIALECT_KEYS
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Draft:
-    """Content of a session.toml as far as it is known, and how each part was found.
+    """Known content of a session.toml, and how each part was found.
 
     `doubts` are uncertainties, each with its consequence and the option that settles it. `magnetometer` is the table
-    [log.magnetometer], written as a comment because iron nearby spoils its readings. `whole` is True for kinds of
-    sensors that read whole numbers only; `rate` is in Hz. `magnitude` is the median reading of the accelerometers in
-    the first rows, `largest` the largest of the gyros without single outliers, both as written; `step` is the
-    resolution of a data sheet, °/s, of which their readings are multiples. `kept` are readers of files by path."""
+    [log.magnetometer], written as a comment because nearby iron disturbs its readings. `whole` is True for kinds of
+    sensors that read whole numbers only; `rate` is in Hz. `magnitude` is the median length of accelerometer readings in
+    the first rows, `largest` that of large gyro readings, both as written; `step` is the resolution of a data sheet,
+    °/s, of which their readings are multiples. `kept` are readers of files by path."""
 
     content: Mapping[str, Any]
     remarks: tuple[str, ...]
@@ -64,7 +64,7 @@ class Draft:
         return tuple(map(Path, [file] if isinstance(file, str) else file))
 
     def unit(self, kind: str) -> str | None:
-        """Return the unit in the names of sensors of a kind."""
+        """Return the unit in the column names of a kind of sensor."""
         return self.triads[kind].unit
 
     def with_log(self, remarks: Sequence[str] = (), /, **tables: Any) -> Draft:

@@ -1,4 +1,4 @@
-"""A log of unknown origin: its files, how they are written, and its columns by kind."""
+"""A log of unknown origin: its files, their dialect, and its columns by kind."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ SHOWN_NAMES = 12  # in a message
 _FILTERED = re.compile(r"grav|(user|free|linear)_?acc(?!.*cov)|\blacc", re.IGNORECASE)
 _GRAVITY_TOLERANCE = 0.1  # of gravity
 _FEWEST_ROWS = 50
-_SHORTEST_SESSION = 4 * USUAL.rest  # s: four rests; fewer determine nothing
-_FILLING = 50  # identical rows at the end of a log that are no samples, at least
+_SHORTEST_SESSION = 4 * USUAL.rest  # s, the time of four rests; fewer determine nothing
+_FILLING = 50  # least number of identical rows at the end of a log that are no samples
 
 StatedColumns = Mapping[str, Sequence[str]]
 """Columns by role: three for "accel" and for "gyro", one for "time"."""
@@ -49,11 +49,11 @@ StatedColumns = Mapping[str, Sequence[str]]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ForeignLog:
-    """Files that are written alike, with identified columns.
+    """Files in one dialect, with identified columns.
 
     `keys` are the keys of [log] that describe the text, `preamble` the lines above the numbers that are neither names
     nor units, `cells` the first rows by column, `remarks` and `doubts` sentences for the user, and `kept` the readers
-    of files that have been read, by path."""
+    already opened, by path."""
 
     files: tuple[Path, ...]
     keys: Mapping[str, Any]
@@ -94,9 +94,10 @@ class ForeignLog:
         return column if column is not None and self.is_clock(column) else None
 
     def read(self, columns: Sequence[str], *, rows: int = LONGEST) -> Array:
-        """Read the first rows of some columns of all files, (m, n): seconds for times of day, NaN where no number is.
+        """Read the first rows of some columns of all files, (m, n), with seconds for times of day and NaN for no
+        number.
 
-        The columns that a session needs are read together, so that a file is parsed once."""
+        All columns that a session needs are read together, so that each file is parsed once."""
         named = self.columns
         sensors = [c for kind in (ACCEL, GYRO) if kind in named.triads for c in named.triads[kind].columns]
         together = [c for c in (named.time, *sensors) if c is not None]
@@ -112,7 +113,7 @@ class ForeignLog:
         return np.concatenate(parts)
 
     def readings(self, column: str) -> Array:
-        """Return the numbers of a column in the first rows, or in all rows if the first have none."""
+        """Return the numbers of a column in the first rows, or in all rows if the first rows have none."""
         with suppress(LogError):
             for rows in (HEAD_ROWS, LONGEST):
                 numbers = self.read([column], rows=rows)[:, 0]
@@ -207,7 +208,7 @@ class ForeignLog:
     def check_has_sensors(self, *, gyros_suffice: bool) -> None:
         """Raise InputError without accelerometers (or gyros, where these suffice), and for a table of positions.
 
-        A table of positions is one of few rows without times."""
+        A table of positions has few rows and no times."""
         triads, names = self.columns.triads, self.names
         name = self.files[0].name
         rows = max(map(len, self.cells.values()), default=_FEWEST_ROWS)

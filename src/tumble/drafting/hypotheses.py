@@ -1,17 +1,17 @@
 """Cost of the hypotheses about a log: units or counts of accelerometers and gyros, times or rate of its rows, order and
 signs of the gyros' columns.
 
-A hypothesis h predicts two numbers of the recording: the length L_h of gravity in raw numbers, and the sum Q_h of the
-gyros' raw numbers over a turn of one radian. Its cost is −2 ln of its probability, up to a common constant:
+A hypothesis h predicts two quantities: the length L_h of gravity in raw numbers, and the sum Q_h of the gyros' raw
+numbers over a turn of one radian. Its cost is −2 ln of its probability, up to a common constant:
 
     (ln L/L_h)² / s²  +  min over δ of [turns(ln Q_h + δ) + δ²/s²]  +  implausible readings  +  assumptions,
 
 with s the usual scale error of a device. The cost of an assumption follows from the frequency of units, counts and
 rates in logs that do not state them (`recording/columns/scales.py`, `drafting/times.py`); a unit in a column's name is
-certain. A scale or rate that is in no table is taken as measured, at the cost of its prior: the density of a Gaussian
-of width s relative to a uniform one over the orders of magnitude that were possible, 2 ln(range / (s √2π)).
+certain. A scale or rate that is in no table is taken from the measurement, at the cost of its prior: the density of a
+Gaussian of width s relative to a uniform one over the orders of magnitude that were possible, 2 ln(range / (s √2π)).
 
-The log is read once, as raw numbers at a rate that need not be right. Rests are found by the accelerometers, whose
+The log is read once, as raw numbers at a rate that may be wrong. Rests are found by the accelerometers, whose relative
 scatter needs no unit. They give the length of gravity, the zero of the accelerometers and the gyros' readings at rest;
 the turns between them give the likelihood of Q (`turn_likelihood`).
 """
@@ -65,22 +65,22 @@ _NO_OFFSET, _LEAST_SINGULAR, _ALIKE = 0.3, 0.05, 0.05  # of gravity; of the larg
 _LENGTH_IN_MOTION_U = 0.2
 """Relative standard uncertainty of gravity as the median magnitude of accelerometers that are never at rest."""
 _UNEVEN, _CENTRE_STEPS = 0.01, 4
-"""Relative differences of readings of one g between attitudes, beside the offsets; Gauss–Newton steps."""
-_TURN_QUANTILE = 0.8  # of the readings in a turn, for its middle
+"""Relative differences of readings of one g between attitudes, without offsets; number of Gauss–Newton steps."""
+_TURN_QUANTILE = 0.8  # of the readings in a turn; it represents the middle of the turn
 _RATE_FACTORS = 0.25, 1.0, 4.0
-"""Times the assumed rate, at which rests are sought where the rate is unclear; too high a one makes them too short."""
+"""Multiples of the assumed rate at which rests are sought if the rate is unclear; too high a rate shortens rests."""
 _LN_RATE_RANGE = math.log(RATE_LIMITS[1] / RATE_LIMITS[0])
 COUNTS = SensorScale(value=1.0, shares=(1.0, 1.0))
-"""Counts of gyros in a recording without turns, of any worth."""
+"""Counts of unknown scale, of gyros in a recording without turns."""
 _ZERO = 0.1  # of gravity: standard deviation of the zero of accelerometers in a unit
-_NAMED_RAW_SHARE = 0.1  # of sensors named as raw that are in a unit, as `gyroADC` of Betaflight
+_NAMED_RAW_SHARE = 0.1  # share of sensors named as raw that are in a unit, such as `gyroADC` of Betaflight
 _FEWEST_COUNTS = 2.0  # per g, of accelerometers in counts
-_HOPELESS = 40.0  # units of accelerometers that cost so much more than the best are not combined with other hypotheses
+_HOPELESS = 40.0  # units of accelerometers that cost this much more than the best are not combined with gyro hypotheses
 _LARGEST_BIAS, _LARGEST_NOISE = 20.0 * DEGREE, 0.17 * DEGREE  # rad/s, of small gyros; noise in a mean over a second
 _LN_EXCESS = 0.25  # standard deviation of ln(reading / limit) for readings beyond a limit
-_MOST_EXCESS_COST = 12.0  # the device may have moved although its accelerometers do not show it
+_MOST_EXCESS_COST = 12.0  # a motion that the accelerometers do not show may be the cause
 SHORTEST_REST = 0.6  # s, at the median
-_TABLE_NOISE = 0.015  # m/s² in a mean over a second: more is a hand, or a machine that runs
+_TABLE_NOISE = 0.015  # m/s² in a mean over a second; a hand or a running machine has more
 _TOO_FAST_COST, _RESOLUTION_COST = 30.0, -12.0
 """Readings beyond the range of any gyro; readings that are multiples of a resolution of data sheets in °/s."""
 
@@ -93,9 +93,9 @@ class Evidence:
     """Length of gravity, readings at rest and turns of a recording, in raw numbers, with durations counted at `rate`.
 
     `rate` is in Hz. `length` is that of gravity, `length_u` its relative standard uncertainty, `zero` the offset of the
-    accelerometers; `rests` and `turns` are numbers. At the rests there are readings of the gyros `gyro` (N, 3), numbers
-    of `samples` (N,) and the scatter of a sample, for accelerometers relative to gravity. `turning` is the typical
-    reading of the gyros in a turn, `profiles` the likelihoods of the turns, first that with the columns as they are."""
+    accelerometers; `rests` and `turns` are numbers. Each rest has the readings of the gyros `gyro` (N, 3), a number of
+    `samples` (N,) and the scatter of a sample, for accelerometers relative to gravity. `turning` is the typical reading
+    of the gyros in a turn, `profiles` the likelihoods of the turns, the first with the columns unchanged."""
 
     rate: float
     length: float
@@ -120,7 +120,7 @@ def gather_evidence(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -
     """Return the evidence of a draft's log.
 
     If the rate is unclear, rows are counted instead of times, and rests are sought with windows for several rates. The
-    trial is taken whose turns are least likely for gyros that read noise, or that has most rests."""
+    chosen trial has the turns that noise explains least, or the most rests."""
     log = {key: value for key, value in draft.log.items() if key != "temperature"}
     ratio, factors = draft.times.rate / ASSUMED_RATE, [1.0]
     if draft.times.rivals:
@@ -135,7 +135,7 @@ def gather_evidence(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -
     except (TumbleError, np.linalg.LinAlgError):
         return Evidence(rate=draft.rate, length=draft.magnitude, length_u=_LENGTH_IN_MOTION_U)
     if ACCEL not in draft.triads:
-        means = np.concatenate([file.accel.means for file in reduction.files])  # gyros, at rest most of the time
+        means = np.concatenate([file.accel.means for file in reduction.files])  # of gyros, mostly at rest
         middle = np.median(means, axis=0)
         scatter = 1.4826 * float(np.median(np.abs(means - middle))) * math.sqrt(reduction.files[0].size)
         unknown = Evidence(rate=reduction.rate, length=1.0, length_u=_LENGTH_IN_MOTION_U)
@@ -187,8 +187,8 @@ def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float
 
     Returns the raw numbers for one g with their relative standard uncertainty, the zero of each sensor to five digits,
     and the readings (N, 3) relative to the zero. The zero is the centre of the sphere through the readings, or exactly
-    0 or the middle of a converter if the centre is near to that or undetermined. The length solves |m − c| = r by least
-    squares, with a prior for the offsets from a known zero, so that few rests do not move it far."""
+    0 or the middle of a converter if the centre is near one of these or undetermined. The length solves |m − c| = r by
+    least squares, with a prior for the offsets from a known zero, so that few rests do not shift it far."""
     length = float(np.median(np.linalg.norm(means, axis=1)))
     zero, offset = np.zeros(3), widths.offset
     if len(means) >= 4:
@@ -220,7 +220,7 @@ def _turns(
     """Return turns between rests of different attitude, the shortest first: integrals of the gyros above their bias
     (m, 3), and the vertical before and after.
 
-    Turns with a clipped gyro are left out: it repeats its largest reading, and rarely reads a little less."""
+    Turns with a clipped gyro are left out; such a gyro repeats its largest reading, and rarely reads slightly less."""
     files, samples, bias = reduction.by_file, reduction.samples, np.median(rates, axis=0)
     assert samples is not None
     candidates = []
@@ -245,7 +245,7 @@ def _turns(
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hypothesis:
-    """Scales and times of a log, and their cost. `profile` has the exchange of gyro columns, None without turns."""
+    """Scales and times of a log, and their cost. `profile` is the likelihood of the turns; None without turns."""
 
     accel: SensorScale
     gyro: SensorScale | None
@@ -269,7 +269,7 @@ def ranked_hypotheses(evidence: Evidence, draft: Draft, widths: Widths = WIDTHS)
     has_accel = ACCEL in draft.triads
     accels = list(_assumed_scales(ACCEL, draft, cost_of_free_scale(deviation))) if has_accel else [(COUNTS, 0.0)]
     gyros = list(_assumed_scales(GYRO, draft, cost_of_free_scale(widths.scale))) if GYRO in draft.triads else []
-    if not evidence.profiles:  # nothing shows the worth of counts
+    if not evidence.profiles:  # nothing determines the scale of counts
         listed = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.listed)
         in_units = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
         gyros = [*([(COUNTS, -2.0 * math.log(listed))] if listed else []), *in_units]
@@ -310,7 +310,7 @@ def _gyro_trials(
 ) -> Iterator[tuple[Times, SensorScale | None, float]]:
     """Yield times and gyro scales with the cost of turns, readings and assumptions.
 
-    Where the rate is free, the rate at which the turns fit a unit best is tried too."""
+    If the rate is unknown, the rate at which the turns fit a unit best is also tried."""
     assumed_times = (draft.times, *draft.times.rivals)
     nominal = None if profile is None else profile.of_nominal(widths.scale)
     if not gyros:
@@ -337,7 +337,7 @@ def _gyro_trials(
 def _assumed_scales(kind: str, draft: Draft, unlisted: float) -> Iterator[tuple[SensorScale, float]]:
     """Yield the units and counts that sensors may have, each with the cost of the assumption.
 
-    A unit in a name is certain; a name of raw numbers makes counts likelier. Counts of no data sheet may have any
+    A unit in a name is certain; a name of raw numbers makes counts likelier. Counts in no data sheet may have any
     scale, at the cost `unlisted`."""
     units, name = {ACCEL: ACCEL_UNITS, GYRO: GYRO_UNITS}[kind], draft.unit(kind)
     if name is not None and units[name].kind != "raw":

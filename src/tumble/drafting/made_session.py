@@ -1,8 +1,8 @@
-"""The session that `calibrate LOG` makes beside a log and finds again by the content of the log.
+"""The session that `calibrate LOG` makes beside a log, and reuses if the content of the log is the same.
 
 `made.json` in the session's folder has the hash of the log, the stated options, the version, and the files made. The
-same log with the same options gets the same session, corrected by hand or not; a renamed log keeps the serial number of
-its first name unless one is stated. With other options the session is made anew, unless it was corrected by hand.
+same log with the same options has the same session, with any corrections by hand; a renamed log keeps the serial number
+of its first name unless one is stated. With other options the session is made anew, unless it was corrected by hand.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _RESULT = "calibration.json"
 def session_of_log(
     log: Path, given: Given, progress: Progress
 ) -> Iterator[tuple[Path, str, Sequence[str], Sequence[str]]]:
-    """Give the folder of the session of a log, its origin in words, remarks on each part, and faults.
+    """Yield the folder of the session of a log, its origin in words, remarks on each part, and faults.
 
     A session that is made here is removed, or the former one put back, if the block fails. Raises InputError for a log
     that cannot be read, and if a session corrected by hand would be made anew."""
@@ -82,9 +82,9 @@ def session_of_log(
 
 @contextmanager
 def _put_aside(folder: Path) -> Iterator[None]:
-    """Move the folder of a session away while it is made anew.
+    """Move the folder of a session aside while it is made anew.
 
-    Files of the former session go with it; others come back afterwards, and all of them if the block fails."""
+    Other files are moved back afterwards; if the block fails, so are those of the former session."""
     if not folder.exists():
         yield
         return
@@ -99,8 +99,8 @@ def _put_aside(folder: Path) -> Iterator[None]:
 
 
 def _bring_back(parent: Path, names: str) -> None:
-    """Take back what was put aside: the user's files if the session was made anew, all of it if the process was
-    killed before."""
+    """Move back files that were put aside: those of the user if the session was made anew, all if the process was
+    killed."""
     for aside in parent.glob(f".{names}.*/"):
         folder = parent / aside.name[1:].rpartition(".")[0]
         if not _made(folder):

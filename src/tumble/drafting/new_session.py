@@ -1,10 +1,10 @@
-"""A first session.toml for a log, in one pass.
+"""Writing of a first session.toml for a log.
 
 The steps are: files (`containers`), columns of sensors and times by name and unit, and by numbers where names leave
 them open (`columns`), repaired copies (`repairs`), times (`times`), units and scales by rests and turns (`hypotheses`),
-and remarks (`conclusions`). Accelerometers at rest read gravity, which determines their unit. Gyros carry the vertical
-from rest to rest, which determines their unit, the scale of counts, and the rate of a log without times. Serial number,
-place and programme are in no log and are left to be filled in.
+and remarks (`conclusions`). Accelerometers at rest read gravity, which determines their unit. Gyros predict the
+vertical at the next rest, which determines their unit, the scale of counts, and the rate of a log without times. Serial
+number, place and programme are in no log; the user fills them in.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TEMPERATURE_UNITS
 _FAST_QUANTILE = 0.99  # of the magnitudes of the gyros, without single outliers
 _RATE_TOLERANCE = 0.01  # u of a sample rate without time stamps
 _MEAN_SECONDS, _FEWEST_MEANS, _GRAVITY_SHARE = 2.0, 3, 0.4
-"""Means over so long, of which at least so many, keep more than this share of readings that contain gravity."""
+"""Duration of means, s, their least number, and the share of the readings that they keep if these contain gravity."""
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": (15e-6, 150e-6)}
 """Magnetic fields on Earth, with iron nearby."""
 _SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEGREE)}
@@ -106,7 +106,7 @@ def new_session(
 ) -> tuple[Draft, list[str]]:
     """Write a first session.toml for a log, with comments on what has to be filled in.
 
-    Names and units are taken as given; numbers decide what they leave open.
+    Names and units are trusted; numbers decide what they do not determine.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def new_session(
     given
         Statements of the user.
     progress
-        Shows how far the log is read.
+        Function that shows how much of the log is read.
 
     Returns
     -------
@@ -148,7 +148,7 @@ def new_session(
 def written_session(
     folder: OutputFolder, logs: FilePath | Sequence[FilePath], given: Given, progress: Progress, widths: Widths = WIDTHS
 ) -> tuple[Draft, list[str]]:
-    """Run `new_session` in a folder whose new files are left to the caller if it fails."""
+    """Run `new_session` in a folder; if it fails the caller must remove new files."""
     path = folder.path / SESSION_FILE
     if path.exists():
         raise InputError(f"{path}: expected a folder without a session, found one; choose another folder")
@@ -206,7 +206,7 @@ def drafted_log(
     serial = given.serial or folder.path.resolve().name or "unknown"
     device = {"serial": serial, **({"imu": sensors_content(imu)} if imu else {})}
     draft = replace(draft, content={**draft.content, "device": device, "site": site})
-    draft.session()  # which checks it
+    draft.session()  # checks the content
     draft, faults = complete_draft(draft, progress, widths)
     if ACCEL not in draft.triads:
         return draft, faults
@@ -277,7 +277,7 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
 
 
 def _contradicted_rate(log: ForeignLog, rate: float) -> Iterator[str]:
-    """Say that a stated sample rate, Hz, is not that of the log's own time column in any unit it may have."""
+    """Yield a doubt if a stated sample rate, Hz, contradicts the log's time column in every possible unit."""
     stamps = log.stamps()
     times = None if stamps is None else times_of_column(stamps)
     if stamps is None or times is None or (stamps.unit is None and np.median(np.diff(stamps.values)) == 1.0):
@@ -293,8 +293,8 @@ def _contradicted_rate(log: ForeignLog, rate: float) -> Iterator[str]:
 def _with_apple_sign(draft: Draft) -> Draft:
     """Set the sign of accelerometers named as in Apple's CoreMotion, which read −1 g on the axis that points up.
 
-    No recording shows it, because gyros carry the vertical up and down alike. Source: Apple, CMAccelerometerData and
-    CMMotionManager, Core Motion."""
+    A recording cannot determine it, because gyros predict both directions of the vertical alike. Source: Apple,
+    CMAccelerometerData and CMMotionManager, Core Motion."""
     accel = draft.log["accel"]
     if accel["unit"] != "g" or not all(_CORE_MOTION.fullmatch(name) for name in accel["columns"]):
         return draft
@@ -329,7 +329,7 @@ def _row_remark(draft: Draft) -> str:
 def _temperature_table(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
     """Return the table [log.temperature], None for raw numbers, and a remark.
 
-    The unit is that of the name, or one in which the numbers are temperatures of air; columns in several units are
+    The unit is that of the name, or one in which the numbers are air temperatures; columns in several units are
     described as raw numbers with their scales."""
     listed, units, remarks = list(columns), list[str](), list[str]()
     if empty := [column for column in columns if not len(log.readings(column))]:

@@ -1,4 +1,4 @@
-"""Repaired copies of logs, for what a session file cannot express: 16-bit numbers read as unsigned, times in ticks,
+"""Repaired copies of logs that a session file cannot describe: 16-bit numbers read as unsigned, times in ticks,
 intervals or seconds and nanoseconds, counters that overflow, rows that are no samples, and successive positions."""
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from tumble.units import TIME_UNITS, Array
 
 _XSENS_TICK = 1e-4  # s, of SampleTimeFine
 _NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
-_BLANK_SHARE = 0.02  # of rows without readings; more are rows of other sensors
-_READ_SHARE = 0.5  # of its sensors that a sample has at least; a row of words and other numbers has fewer
+_BLANK_SHARE = 0.02  # of rows without readings; a larger share are rows of other sensors
+_READ_SHARE = 0.5  # least share of its sensors that a sample has; a row of words and other numbers has fewer
 _FEWEST_ROWS = 50
 _POSITION_JUMP = 0.2  # of gravity
 _LABEL = re.compile(
@@ -122,7 +122,7 @@ def _newest_last(stamps: Stamps) -> Repair:
 def _leave_out_other_rows(log: ForeignLog) -> list[Repair]:
     """Leave out rows that are no samples: memory filled in advance after the last sample, and rows of other sensors.
 
-    A few rows without readings are lost samples if the stamps have a gap there, and stay."""
+    A few rows without readings are kept as lost samples if the stamps have a gap there."""
     repairs: list[Repair] = []
     sensors = [c for kind, triad in log.columns.triads.items() if kind != MAGNETOMETER for c in triad.columns]
     table, one = log.read(sensors), len(log.files) == 1
@@ -138,7 +138,7 @@ def _leave_out_other_rows(log: ForeignLog) -> list[Repair]:
         are_others = not whole[0]
         stamps = log.stamps()
         time = np.empty(0) if stamps is None else stamps.values[:samples]
-        if len(time) == samples and whole[1:].any() and np.isfinite(time[~whole]).any():  # messages have no time
+        if len(time) == samples and whole[1:].any() and np.isfinite(time[~whole]).any():  # message lines have no time
             steps, across = np.diff(time[whole]), np.diff(np.flatnonzero(whole)) > 1
             are_others |= bool(across.any() and np.median(steps[across]) < GAP_STEP * np.median(steps))
     if are_others:
@@ -227,7 +227,7 @@ def with_signs(columns: Array) -> Array:
 
 
 def _successive_positions(log: ForeignLog, *, unsigned: bool) -> tuple[list[tuple[int, int]] | None, str]:
-    """Return the ranges of rows of positions without turns between them, and the remark on them; None without.
+    """Return the ranges of rows of positions without turns between them, and a remark; None for other logs.
 
     Positions are named by a column, or the reading jumps between two still stretches. `unsigned`: accelerometers are
     16-bit numbers read as unsigned. Raises InputError for positions of too few rows."""
@@ -241,7 +241,7 @@ def _successive_positions(log: ForeignLog, *, unsigned: bool) -> tuple[list[tupl
     if label is not None:
         labels = pl.concat([table[label].cast(pl.String) for table in next(log.sources()).whole(())])
         starts = np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy()).tolist()
-    else:  # the force jumps between ten steady rows before and behind
+    else:  # the force jumps between ten steady rows before and after
         size = float(np.nanmedian(np.linalg.norm(accel - np.nanmedian(accel, axis=0), axis=1)))
         steps = np.linalg.norm(np.diff(accel, axis=0), axis=1)
         starts = (np.flatnonzero(steps > _POSITION_JUMP * size) + 1).tolist()

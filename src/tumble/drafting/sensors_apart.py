@@ -1,5 +1,5 @@
-"""One log from sensors in separate places: messages of a binary recording, and accelerometers and gyros of a phone in a
-file each."""
+"""One log from separate sensors: messages of a binary recording, or accelerometers and gyros of a phone in one file
+each."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ def log_of_recording(
 ) -> tuple[ForeignLog, Mapping[str, AutopilotSensor]]:
     """Write the log of a message of a recording, and return it with the autopilot's sensors in it.
 
-    The message is the one with this name, or the first with most sensors. Several files are one recording if the
-    accelerometers are in one and the gyros in the other. Raises InputError for several recordings, and if no message
-    has this name."""
+    The message is the one with the given name, or the first with the most sensors. Two files are one recording if one
+    has the accelerometers and the other the gyros. Raises InputError for several recordings, and if no message has this
+    name."""
     recording, candidates = recordings[0], messages(*recordings)
     with_accel = [m for m in candidates if m.accel]
     if len(recordings) > 1 and (len(candidates) > len(recordings) or len(with_accel) > 1):
@@ -91,7 +91,7 @@ def _belong_together(accel: Message, gyro: Message) -> bool:
 
 
 def _nearest_thermometers(accel: Message, gyro: Message | None, separate: Sequence[Message]) -> list[Message]:
-    """Return a thermometer each of accelerometers and gyros, or that with the topic most like the accelerometers'."""
+    """Return one thermometer for each kind of sensor, or the one with the topic most like the accelerometers'."""
     topic = accel.name.split("/")
     nearest = sorted(separate, key=lambda m: -len(list(takewhile(bool, map(eq, m.name.split("/"), topic)))))
     first = {m.temperatures: m for m in reversed(nearest)}
@@ -105,8 +105,8 @@ def _nearest_thermometers(accel: Message, gyro: Message | None, separate: Sequen
 def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:
     """Return whether logs have one kind of sensor each, by the names of their columns or files.
 
-    Files all of which have room for two kinds are recordings of one device."""
-    if len(logs) == 1:  # gyros, by the name of the file
+    If all files have room for two kinds, they are recordings of one device."""
+    if len(logs) == 1:  # gyros according to the name of the file
         (log,) = logs
         return not log.columns.triads and len(log.cells) <= 4 and set(_first_by_kind(logs)) == {GYRO}
     if any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):

@@ -1,8 +1,8 @@
-"""Times of the rows of a log: unit of the time column, usability of its stamps as a clock, or the sample rate.
+"""Times of the rows of a log: the unit of the time column and whether its stamps are usable, or the sample rate.
 
 Rival assumptions have a cost, −2 ln of their frequency in logs, and turns decide between them (`hypotheses`). Stamps
-that repeat, bunch or jitter although rows are equally spaced come from a coarse clock or a busy computer; then the row
-number is the better clock (`regular`).
+that repeat, bunch or jitter although rows are equally spaced are those of a coarse clock or a busy computer; the row
+number is then the better clock (`regular`).
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ ASSUMED_RATE = 100.0  # Hz
 RATE_LIMITS = 2.0, 20_000.0  # Hz, of logs
 _LEAST_RATE = 0.5  # Hz
 _SHORTEST_LOG = 2.0  # s
-_SLOW = 5.0  # Hz: in a slower log, dates may be the time since a phone was started, in a thousandth of their unit
+_SLOW = 5.0  # Hz; in a slower log, dates may be the time since the start of a phone, in a thousandth of their unit
 _BY_DATES = "by its dates"
 _WEIGHTS = {float(rate): float(weight) for weight, rates in FREQUENCIES["rates"].items() for rate in rates}
 USUAL_RATES = {rate: -2.0 * math.log(weight / sum(_WEIGHTS.values())) for rate, weight in sorted(_WEIGHTS.items())}
 """Cost of each usual rate, Hz."""
-UNUSUAL_SHARE = 0.03  # of logs, at another rate
+UNUSUAL_SHARE = 0.03  # share of logs with a rate that is not listed
 _TICKS_SHARE, _COUNTS_SHARE = 0.02, 0.4
-"""Shares of whole numbers without a unit that are ticks of a clock, and of those growing by one that count samples."""
+"""Share of whole numbers without a unit that are clock ticks; share of those growing by one that count samples."""
 _UNIT_COSTS = {"s": 0.0, "ms": 0.5, "us": 1.0, "ns": 1.5, "min": 6.0, "h": 8.0}
 _USUAL_BAND = 10.0, 2000.0  # Hz
 _UNUSUAL_RATE_COST, _SHORT_LOG_COST = 5.0, 8.0
@@ -40,7 +40,7 @@ _IRREGULAR_SHARE, _IRREGULAR_FREE = 2e-2, 3  # irregular steps that are tolerate
 _PAUSE_SHARE, _PAUSE_FACTOR = 2e-3, 10.0  # longer steps than this factor times the (1 − share) quantile are pauses
 _LONGEST_DELAY = 0.1  # of the log; longer delays are pauses
 _JITTER = 0.25  # of the interval
-_LINE_TOLERANCE = 3.0  # intervals, of stamps about a straight line, beside their delays
+_LINE_TOLERANCE = 3.0  # intervals, of stamps about a straight line, in addition to their delays
 _LEAST_GROWTH = 1e-9  # of stamps in all, in any unit
 _FALLING_SHARE = 0.01  # of steps
 _RATE_IN_TEXT = re.compile(
@@ -99,7 +99,7 @@ def times_without_column(rate: float | None, preamble: Sequence[str]) -> Times:
 
 
 def times_of_column(stamps: Stamps) -> Times | None:
-    """Return the unit and the rate of a time column; None if it does not grow as times do."""
+    """Return the unit and the rate of a time column; None if it does not grow like a time."""
     values = stamps.values[np.isfinite(stamps.values)]
     values = values[:-1] if len(values) > 3 and values[-1] < values[-2] else values  # the last line may be cut
     if len(values) < 3 or not grows_mostly(values):
@@ -152,7 +152,7 @@ def _typical_step(steps: Array) -> float:
 
 
 def _fault_of_stamps(steps: Array) -> str | None:
-    """Return why stamps are unusable as a clock, from steps in typical ones; None if they are even."""
+    """Return why stamps are unusable as a clock, from steps in units of the typical one; None if they are even."""
     tolerated = _IRREGULAR_FREE + _IRREGULAR_SHARE * len(steps)
     jitter = float(1.4826 * np.median(np.abs(steps - np.median(steps))))
     if np.count_nonzero(steps <= 0.0) > tolerated:
@@ -173,7 +173,7 @@ def grows_mostly(values: Array) -> bool:
 
 
 _OVERFLOWS = (3600.0, 65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
-"""An hour, and 2^16, 2^24 and 2^32 in the unit of the stamps, in thousands or in millions of it."""
+"""Numbers at which counters overflow: an hour, 2^16, 2^24 and 2^32, in the stamps' unit, its thousands or millions."""
 _MOST_OVERFLOWS = 10_000
 _LOST_AT_RESTART = 50  # samples that may be lost where a counter overflows
 _MOST_RECORDINGS, _SHORTEST_RECORDING = 50, 50  # recordings in a log; rows
@@ -212,7 +212,7 @@ def recordings_of(values: Array) -> list[tuple[int, int]] | None:
 
 
 def _unit_costs(stamps: Stamps, step: float) -> tuple[dict[str, float], str, list[str]]:
-    """Return the possible units of stamps with their costs, the likeliest first; how they were found; and doubts."""
+    """Return the possible units of stamps with their costs, the likeliest first, how they were found, and doubts."""
     if stamps.clock:
         return {"s": 0.0}, "of a clock", []
     if stamps.unit is not None:
@@ -223,7 +223,7 @@ def _unit_costs(stamps: Stamps, step: float) -> tuple[dict[str, float], str, lis
     costs = {name: cost for name, cost in _UNIT_COSTS.items() if _LEAST_RATE <= rates[name] <= RATE_LIMITS[1]}
     for name in list(costs):
         usual = _USUAL_BAND[0] <= rates[name] <= _USUAL_BAND[1]
-        if TIME_UNITS[name] > 1.0 and not usual:  # nobody writes the times of a slow log in minutes
+        if TIME_UNITS[name] > 1.0 and not usual:  # times of a slow log are not in minutes
             del costs[name]
             continue
         short = (high - low) * TIME_UNITS[name] < _SHORTEST_LOG or (counts and rates[name] < RATE_LIMITS[0])
@@ -237,7 +237,7 @@ def _unit_costs(stamps: Stamps, step: float) -> tuple[dict[str, float], str, lis
 
 
 def _rows_are_equally_spaced(values: Array) -> bool:
-    """Return whether stamps stay about a straight line, without steps, within what their largest delay explains."""
+    """Return whether stamps stay near a straight line, without steps, as far as their largest delay explains."""
     index = np.arange(len(values), dtype=float)
     step = (values[-1] - values[0]) / (len(values) - 1)
     late = (values - values[0]) / step - index

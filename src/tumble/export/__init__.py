@@ -1,7 +1,7 @@
 """Exports: calibrations in the formats of other programs.
 
 `export_calibration` returns the bytes of the file, and sentences on what the format cannot hold. Most targets are
-templates, `targets/*.tmpl`; those of BUILT_IN need code. Other packages bring more (`tumble.plugins`).
+templates, `targets/*.tmpl`; those of BUILT_IN need code. Other packages can add targets (`tumble.plugins`).
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 class Target:
     """A format that a calibration can be written in.
 
-    `write` makes an `Exported` of an accepted calibration and of options, by keyword; it `takes` options of these names
-    and `needs` some of them. `about` says in a few words what the format is; files have the suffix `ending`."""
+    `write` returns the `Exported` of an accepted calibration, with keyword options named in `takes`, of which those in
+    `needs` are required. `about` describes the format in a few words; files have the suffix `ending`."""
 
     write: Callable[..., Exported]
     about: str = ""
@@ -167,7 +167,7 @@ def export_calibration(
     counts
         For targets that work in counts: counts per g and per °/s, if the recording was not in counts.
     **further
-        Options of targets that other packages bring.
+        Options of targets of other packages.
 
     Returns
     -------

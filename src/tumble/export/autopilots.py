@@ -47,19 +47,19 @@ from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import OVER_TEMPERATURE, group_name
 from tumble.units import DEGREE, TESLA, Array
 
-MIN_CHANGE = 0.01  # length of offsets (m/s², rad/s) and changes of scale that some releases of PX4 ignore
+MIN_CHANGE = 0.01  # offsets (m/s², rad/s) and changes of scale below this are ignored by some releases of PX4
 _HELD = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") for t in OVER_TEMPERATURE)
-"""Groups that the targets over temperature hold."""
+"""Groups of parameters in the targets over temperature."""
 
 
 class Autopilot(BaseModel):
     """Front matter of the layout of an autopilot.
 
     `about`, `formula` and `source` describe the autopilot; `at_reference` and `of_gyros` are notes on the file. It
-    calibrates so many `imus`, and over temperature so many `compensated`; `thermometers` are groups of sensors with one
+    calibrates `imus` IMUs, and over temperature `compensated` IMUs; `thermometers` are groups of sensors with one
     thermometer. Its polynomials are about the temperature `centre`, °C (None: the reference), with coefficients in
-    units of `worth`, SI. Of a magnetometer: `unit` and `sign` of the offsets, how long they may be, the range of the
-    diagonal, and the largest element beside it."""
+    units of `worth`, SI. For a magnetometer: `unit` and `sign` of the offsets, their largest length, the range of the
+    diagonal, and the largest off-diagonal element."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -195,8 +195,8 @@ def _cubic(pilot: Autopilot, slopes: Array, reference: float) -> Array:
 
 
 def _shared_thermometers(pilot: Autopilot, calibration: Calibration, applied: Sequence[Triad]) -> list[str]:
-    """Describe the errors from sensors that have several thermometers in the calibration, but one in the target: by how
-    much these differ at rests, beyond their mean difference, which the references contain."""
+    """Describe the errors of sensors that have several thermometers in the calibration but one in the target: the
+    differences of the thermometers at rests, less the mean difference, which the references contain."""
     notes = []
     for sharing in pilot.thermometers:
         by_kind = {each.kind: each for each in applied if each.kind in sharing and each.measured is not None}
@@ -236,7 +236,7 @@ def temperature_range(calibration: Calibration, target: str) -> Range:
 
 
 def example_temperature(measured: Range) -> float:
-    """Return the warm end of the range, rounded down to 0.1 °C, at which worked examples are."""
+    """Return the temperature of worked examples: the warm end of the range, rounded down to 0.1 °C."""
     return math.floor(10.0 * measured.high) / 10.0
 
 

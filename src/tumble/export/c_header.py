@@ -40,7 +40,7 @@ from tumble.sensors.parameters import OVER_TEMPERATURE
 from tumble.units import Array
 
 LAG_EXAMPLE = ((20.0, 0.0), (21.0, 10.0), (23.0, 10.0), (23.0, 60.0))
-"""Readings of a thermometer, degC, and the seconds since the reading before."""
+"""Readings of a thermometer, degC, and the seconds since the previous reading."""
 
 HELD = frozenset(
     {"accel.quadratic", "accel.cubic", "accel.asymmetry", "gyro.asymmetry", "gyro.cubic", "gyro.g_sensitivity"}

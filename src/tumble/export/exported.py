@@ -31,10 +31,10 @@ from tumble.units import DEGREE, G_STANDARD, Array
 
 MAGNETOMETER = "mag"
 """Matrix and bias of the magnetometer, as a group of parameters."""
-NEGLIGIBLE = 0.1  # of the u of a reading: adds less than √(1 + 0.1²) − 1 = 0.5 % to it
+NEGLIGIBLE = 0.1  # relative to the u of a reading; it increases u by less than √(1 + 0.1²) − 1 = 0.5 %
 WARMING, HOUR = 10.0, 3600.0  # K and s, over which changes are stated
 HEATING_RATE = 1.0 / 60.0  # K/s, at which the effect of a lag is stated
-ROUNDING = 1e-6  # relative errors of single precision, which are not stated
+ROUNDING = 1e-6  # relative error of single precision, which is not stated
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
@@ -129,7 +129,7 @@ def shown(values: Array) -> str:
 
 
 def yaml_number(value: float) -> str:
-    """Format a number so that every YAML reader takes it for one: YAML 1.1, and PyYAML, reads 2e-05 as a text."""
+    """Format a number for every YAML reader: PyYAML (YAML 1.1) reads 2e-05 as a text."""
     mantissa, e, exponent = repr(float(value)).partition("e")
     return mantissa + (".0" if e and "." not in mantissa else "") + e + exponent
 
@@ -194,8 +194,8 @@ def _largest_errors(calibration: Calibration, kind: SensorKind, correct: Correct
 
 
 def _groups_not_held(calibration: Calibration, held: Container[str] = ()) -> list[str]:
-    """Return the magnetometer and the effects of motion, temperature and time that a target does not hold, without
-    those that are negligible against the uncertainty of a reading."""
+    """Return what a target does not hold, the magnetometer and effects of motion, temperature and time, if not
+    negligible against the uncertainty of a reading."""
     prediction, present = calibration.prediction, positions_by_group(p.name for p in calibration.parameters)
     by_kind = {
         "accel": (calibration.accel, 0.0 if prediction is None else prediction.force_u),

@@ -2,13 +2,13 @@
 
 `json` holds the correction with its formula (`tumble.result.correction`).
 
-`csv` has one quantity a row: name, value, u, unit, and for a parameter its prior, learned fraction, k, degrees of
-freedom, and its covariance with every parameter in a column of that name. `accel.matrix.2.1` is row 2, column 1 of M,
-`accel.bias_of.2` the bias of channel 2, both counted from 1:
+`csv` has one quantity per row: name, value, u, unit, and for a parameter its prior, learned fraction, k, degrees of
+freedom, and its covariances, each in the column named after the other parameter. `accel.matrix.2.1` is row 2, column 1
+of M, `accel.bias_of.2` the bias of channel 2, both counted from 1:
 
     reading = matrix · true + bias
 
-`csv-thermal` has one temperature a row, within the measured range: the temperature in °C, then the value of each
+`csv-thermal` has one temperature per row, within the measured range: the temperature in °C, then the value of each
 parameter that changes with it and its U (95.45 %), SI.
 
 `mat` has the content of `csv` as arrays:
@@ -53,7 +53,7 @@ _MAX_ROWS = 25
 
 def json_file(calibration: Calibration) -> Exported:
     """Return the .json file of a calibration: its readings, and the correction with its formula."""
-    models(calibration)  # raises InputError without any
+    models(calibration)  # raises InputError if there are none
     content, held = content_of(calibration), {group.name for group in groups() if group.variable in THERMAL}
     losses = notes_of(calibration, held=held)
     about = ["y: readings in SI, (raw - offset) / scale of the columns in readings", *origin(calibration), *losses]

@@ -1,4 +1,4 @@
-"""Exports described by a template: a text file for each target, which anybody can write.
+"""Exports described by templates: one text file for each target, which users can write.
 
 A template has a front matter of TOML between two lines `+++`, and a body of Jinja that becomes the file:
 
@@ -19,9 +19,9 @@ A template has a front matter of TOML between two lines `+++`, and a body of Jin
     gain: {{ accel.gain | yaml }}
 
 `numbers` are the content of the file, each an expression of the calibration and of the numbers above it; `corrected` is
-what the target computes from a `reading`, both SI. From these the export computes a worked example and the errors that
-the target leaves, which stand in the comments. Expressions and body are Jinja in a sandbox, with the names `matrix`,
-`bias` and `inverse` of the sensors, `counts` (per SI unit), `g_sensitivity`, `force` (zero), and FUNCTIONS.
+what the target computes from a `reading`, both SI. From these the export computes a worked example and the remaining
+errors, which are written as comments. Expressions and body are Jinja in a sandbox, with the names `matrix`, `bias` and
+`inverse` of the sensors, `counts` (per SI unit), `g_sensitivity`, `force` (zero), and FUNCTIONS.
 
     key          meaning
     about        the target, in one sentence
@@ -272,8 +272,7 @@ def read_template(file: Path, name: str | None = None) -> Template:
 def counts_per_si(
     calibration: Calibration, kind: SensorKind, usual: list[float], given: tuple[float, float] | None
 ) -> tuple[float, str]:
-    """Return the counts per SI unit, as given, as in the recording or as usual, with a sentence that names the
-    source."""
+    """Return the counts per SI unit, given, of the recording or usual, with a sentence that names the source."""
     size, unit = (G_STANDARD, "g") if kind == "accel" else (DEGREE, "deg/s")
     readings = calibration.provenance.readings.get(kind)
     if given is not None:
@@ -326,7 +325,7 @@ FUNCTIONS: Mapping[str, Callable[..., Array]] = {
     "cardan_angles": cardan_angles,
     "cardan_matrix": cardan_matrix,
 }
-"""Functions in expressions."""
+"""Functions for the expressions of templates."""
 
 
 def front_of(layout: str) -> dict[str, Any]:

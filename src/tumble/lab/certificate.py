@@ -60,7 +60,7 @@ _Country = Annotated[_Str, Field(pattern="^[A-Z]{2}$", description="two capital 
 _Path = Annotated[_Str, Field(min_length=1)]
 
 _ACCREDITED = ("procedure", "traceability", "issued")
-"""Keys that a certificate under accreditation needs (ISO/IEC 17025, 7.8)."""
+"""Keys required in a certificate under accreditation (ISO/IEC 17025, 7.8)."""
 
 
 class _CertificateTable(BaseModel):
@@ -100,10 +100,9 @@ class Certificate(_CertificateTable):
     """Administrative data of a calibration certificate.
 
     Without `begin` and `end` the date is that of the recording. `state` is that of the item when it was calibrated,
-    with `as_found` the calibration file from before an adjustment. `limits` is a file of acceptance limits, `check`
-    selects one of its checks, `agreed` says how limits and decision rule were agreed with the customer, `traceability`
-    how gravity, time and table are traced; `replaces` is the number of an earlier certificate. Keys with a title are
-    shown on the first page."""
+    `as_found` the calibration file from before an adjustment. `limits` is a file of acceptance limits, `check` selects
+    one of its checks, `agreed` is the agreement on limits and decision rule, `traceability` that of gravity, time and
+    table; `replaces` is the number of an earlier certificate. Keys with a title are shown on the first page."""
 
     number: _Text
     country: _Country
@@ -207,7 +206,8 @@ def check_certificate(certificate: Certificate, calibration: Calibration) -> Cal
 
 
 def certificate_limits(certificate: Certificate) -> Limits | None:
-    """Return the acceptance limits, of one check, that a certificate states conformity with; None without limits.
+    """Return the acceptance limits, of one check, for the statement of conformity of a certificate; None without
+    limits.
 
     Raises InputError if the file has limits of both checks and the certificate selects none, or selects another one."""
     if certificate.limits is None:

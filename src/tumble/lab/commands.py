@@ -38,19 +38,21 @@ def registry() -> None:
 
 @registry.command
 @click.argument("calibration", type=params.FILE)
-@params.option("--check/occasion", "Default: incoming the first time.", type=click.Choice(["incoming", "periodic"]))
+@params.option(
+    "--check/occasion", "Check; default: incoming, later periodic.", type=click.Choice(["incoming", "periodic"])
+)
 @params.option(
     "--state",
-    "Before or after an adjustment; default: without one.",
+    "State of the device: before, after or without an adjustment.",
     "unchanged",
     type=click.Choice(["as-found", "as-left", "unchanged"]),
 )
-@params.option("--date/day", "When it was performed; default: when recorded, or the file made.", **_DAY)
+@params.option("--date/day", "Day of the calibration; default: that of the recording, else of the file.", **_DAY)
 @_PLACE
 @params.JSON
 @params.EVERY
 def add(calibration: Path, day: datetime | None, every: bool, place: str, **particulars: Any) -> None:
-    """Add a CALIBRATION file, judge it by the limits in force, and say so. Exit status 1 if it does not pass."""
+    """Add a CALIBRATION file and judge it by the limits in force. Exit status 1 if it does not pass."""
 
     begun, performed = datetime.now(UTC), None if day is None else day.replace(tzinfo=UTC)
     with lab.open_registry(place, create=True) as opened:
@@ -92,13 +94,13 @@ def list_(serial: str | None, place: str) -> None:
 
 @registry.command
 @click.argument("number", type=click.IntRange(1, 10**18), required=False)
-@params.option("--type/model", "Instead of a record: the data sheet of a device type by its units.", metavar="MODEL")
+@params.option("--type/model", "Show the data sheet of a device type, instead of a record.", metavar="MODEL")
 @params.out("Write the calibration file of the record, as it was added, or the data sheet (.html).")
 @_PLACE
 @params.JSON
 @params.EVERY
 def show(number: int | None, model: str | None, out: Path | None, every: bool, place: str) -> None:
-    """The record NUMBER with the verdict on each parameter, or what the units of a type are like.
+    """The record NUMBER with the verdict on each parameter, or the data sheet of a device type.
 
     Exit status 1 if the record does not pass."""
     from tumble.files import whole_file
@@ -176,7 +178,7 @@ def limits(model: str | None, file: Path | None, place: str) -> None:
 
 
 @registry.command
-@params.option("--on/day", "As on this day; default: today.", **_DAY)
+@params.option("--on/day", "Day for which the list is made; default: today.", **_DAY)
 @_PLACE
 @params.JSON
 def due(day: datetime | None, place: str) -> None:
@@ -198,7 +200,7 @@ def due(day: datetime | None, place: str) -> None:
 
 @click.command(epilog=params.examples("tumble selftest -o record.json"))
 @params.out("Write the record, JSON, with versions, machine, figures and hashes.")
-@params.option("--by", "Who runs it and stands for it; default: the name of the user.", metavar="NAME")
+@params.option("--by", "Name of the responsible operator; default: the name of the user.", metavar="NAME")
 @params.JSON
 def selftest(out: Path | None, by: str | None) -> None:
     """Run the reference cases on this machine and compare them with published values, closed forms and truth."""

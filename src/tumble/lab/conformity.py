@@ -13,9 +13,9 @@ with ν degrees of freedom about the value, scaled by u. With its distribution f
     p = F((high − value)/u) − F((low − value)/u)
 
 is the probability of conformity; a value judged inside is outside with the risk 1 − p, one judged outside is inside
-with the risk p. After "pass" 1 − p is at most 2.3 % for each limit. The risk that not all values are inside though all
-were judged so is at most the sum of their risks; the risk that all are inside though some were judged outside is at
-most the least risk of these.
+with the risk p. After "pass" 1 − p is at most 2.3 % for each limit. If all values were judged inside, the risk that not
+all are is at most the sum of their risks; if some were judged outside, the risk that all are inside is at most the
+smallest of their risks.
 
 Source: ILAC-G8:09/2019, 4.2.3 (guard band w = U on either side of a limit, JCGM 106:2012, 8.3); JCGM 106:2012, 7.4
 (probability of conformity), 9.3.2 (specific risk).

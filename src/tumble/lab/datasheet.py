@@ -101,7 +101,7 @@ def datasheet_of(units: Sequence[Unit], model: str) -> Datasheet:
 
 
 def _row(name: str, values: Array, *, run_to_run: float | None = None, u: float | None = None) -> DatasheetRow:
-    """Return the row of a parameter with these values of the units."""
+    """Return the row of a parameter from the `values` of the units."""
     is_deviation = name.endswith(".in_run")
     normal = np.log(values) if is_deviation else values
     half_width = tolerance_factor(len(values)) * float(normal.std(ddof=1))

@@ -55,9 +55,9 @@ _UNITS |= {"hPa": "hecto\\pascal"}
 _FACTOR = re.compile(r"(?P<over>[*/]|^)(?P<unit>[A-Za-z%]+|1)(?:\^(?P<power>\d))?")
 _CONFORMITY = {"conditional pass": "conditionalPass", "conditional fail": "conditionalFail"}
 _CONFORMITY |= {result: result for result in ("pass", "fail")}
-"""Results in the schema, which has none for undecided."""
+"""Results by their names in the schema, which has none for undecided."""
 
-U_DIGITS = 3  # digits of u and U: two significant ones, and one that makes rounding negligible
+U_DIGITS = 3  # digits of u and U: two significant digits, and one that makes rounding negligible
 
 _TITLES = {"accel": "accelerometers", "gyro": "gyros"}
 
@@ -175,8 +175,7 @@ def _parameter(parameter: Parameter, verdicts: Sequence[Verdict]) -> dict[str, A
 
 
 def _real(value: float, u: float | None, unit: str, degrees: float) -> dict[str, Any]:
-    """Return a value with its expanded uncertainty for so many degrees of freedom; with u if these are too few for
-    U."""
+    """Return a value with its expanded uncertainty by the degrees of freedom; with u if these are too few for U."""
     k = stated_factor(degrees)
     return {
         "value": to_digits(value, u),
@@ -213,5 +212,5 @@ def _model(kind: SensorKind, model: SensorModel) -> dict[str, dict[str, str]]:
 
 
 def _list(labels: Sequence[str], numbers: str, units: Sequence[str]) -> dict[str, Any]:
-    """Return numbers in words, with a label and a unit each."""
+    """Return a list of formatted numbers, each with a label and a unit."""
     return {"labels": " ".join(labels), "numbers": numbers, "units": " ".join(map(d_si, units))}

@@ -46,7 +46,7 @@ from tumble.units import Array
 MIN_UNITS = 3  # the variance of two units would have one degree of freedom
 MAX_ITERATIONS = 300
 TOLERANCE = 1e-3  # relative change of b at which the iteration ends
-MIN_LEARNED = 0.05  # share of the prior variance that a recording must remove to count as an estimate
+MIN_LEARNED = 0.05  # least reduction, relative, of a prior variance by a recording that counts as an estimate
 
 _NOT_OF_DEVICE: tuple[Variable, ...] = ("time", "launch", "lag")
 """Variables of parameters that are not a property of a device, or are not normally distributed (lags)."""
@@ -79,7 +79,7 @@ class Unit:
         return replace(self, information=information, shift=back.T @ self.shift, reference=reference)
 
     def estimates(self) -> dict[str, tuple[float, float]]:
-        """Return value and variance, SI, of each parameter without its own prior, but with those of the others."""
+        """Return value and variance, SI, of each parameter without its own prior but with the priors of the others."""
         covariance = _inverse(self.information + np.diag(self.usual))
         values, variances = covariance @ self.shift, np.diag(covariance)
         precision = 1.0 / variances - self.usual
@@ -116,7 +116,7 @@ def unit_by(
     reference: float | None = None,
     launches: LaunchVariances | None = None,
 ) -> Unit:
-    """Return the information of parameters with a covariance (m, m), Eq. (1), for those that are of the device."""
+    """Return the information, Eq. (1), of the parameters that are properties of the device."""
     kept = [i for i, p in enumerate(parameters) if p.u and variable_of(p.name) not in _NOT_OF_DEVICE]
     parameters, C = [parameters[i] for i in kept], covariance[np.ix_(kept, kept)]
     values = np.array([p.value for p in parameters])
@@ -158,8 +158,7 @@ def run_to_run(units: Sequence[Unit], name: str) -> float | None:
 def prior_of(units: Sequence[Unit], model: str) -> DevicePrior:
     """Return the prior of another unit of a type, called `model` in messages, from other units (module docstring).
 
-    It has the parameters that at least MIN_UNITS units have and that the type determines better than the grade; none
-    with fewer units."""
+    It has the parameters of at least MIN_UNITS units for which it is narrower than the prior of the grade, if any."""
     words = f"{len(units)} other units of the type {model!r}"
     if len(units) < MIN_UNITS:
         nothing, words = np.zeros(0), f"{words}, fewer than {MIN_UNITS}"
@@ -191,7 +190,8 @@ def prior_of(units: Sequence[Unit], model: str) -> DevicePrior:
 
 
 def _marginal(unit: Unit, names: Sequence[str]) -> tuple[Array, Array]:
-    """Return information (n, n) and shift (n,) on the parameters `names`, the others eliminated with their priors."""
+    """Return information (n, n) and shift (n,) on the parameters `names`; the others are eliminated with their
+    priors."""
     rows = [i for i, name in enumerate(names) if name in unit.names]
     kept = [unit.names.index(names[i]) for i in rows]
     others = [i for i in range(len(unit.names)) if i not in kept]

@@ -1,7 +1,7 @@
 """Reports with acceptance limits, and certificates.
 
 Both have a section on the limits after the result. A certificate also has laboratory, customer, dates, statements and
-signatures, but neither causes nor advice.
+signatures, but no causes and no advice.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ TONES: Mapping[Result, Tone] = {
 _RULE = f"{DECISION_RULE[0].upper()}{DECISION_RULE[1:]}. {RISK_DEFINITION[0].upper()}{RISK_DEFINITION[1:]}."
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 _FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
-"""Clauses with one of these name keys, commands or options, or give advice, and have no place in a certificate."""
+"""Marks of clauses with keys, commands, options or advice, which are left out of certificates."""
 
 
 def write_judged_report(
@@ -134,8 +134,8 @@ def write_certificate(
 def _write(
     document: Document, out: FilePath, sources: Sequence[ReportedFile], checks: Sequence[Sequence[Verdict]]
 ) -> list[str]:
-    """Write a document with the worst verdict as its badge on the first page, and return why calibrations are not
-    accepted or not within the limits, by file."""
+    """Write a document with the worst verdict as the badge on its first page, and return, by file, why calibrations are
+    not accepted or not within the limits."""
     worst: dict[str, Result] = {}
     for verdict in chain(*checks):
         worst[verdict.occasion] = min(

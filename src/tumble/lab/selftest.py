@@ -42,7 +42,7 @@ LIBRARIES = ("numpy", "scipy", "polars", "pydantic")
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SelftestCase:
-    """A reference case: the `figure` found must be from `low` to `high`."""
+    """A reference case: the computed `figure` must be from `low` to `high`."""
 
     json_fields: ClassVar = ("name", "source", "figure", "low", "high", "unit", "passed")
 

@@ -1,1 +1,1 @@
-"""A recording read: the session file, the log it names, formats, gaps."""
+"""Reading of recordings: the session file, its log, formats, gaps."""

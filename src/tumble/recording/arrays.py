@@ -28,7 +28,7 @@ class SensorArrays(TypedDict, total=False):
     Attributes
     ----------
     accel : array_like, shape (N, n)
-        Specific force, m/s²; required but for the biases of gyros alone.
+        Specific force, m/s²; required except for the biases of gyros alone.
     gyro : array_like, shape (N, n)
         Angular rate, rad/s.
     time : array_like, shape (N,)
@@ -36,9 +36,9 @@ class SensorArrays(TypedDict, total=False):
     rate : float
         Samples per second.
     temperature : array_like, shape (N,), or mapping of str to array_like
-        Temperature, K; of several thermometers, those of "accel" and "gyro", (N,) or (N, n).
+        Temperature, K; for several thermometers a mapping of "accel" and "gyro" to (N,) or (N, n).
     latitude, height : float
-        Geodetic latitude, rad, and height, m; without a height, 1300 m are in the uncertainty of gravity.
+        Geodetic latitude, rad, and height, m; without a height, the uncertainty of gravity includes 1300 m.
     gravity, gravity_u : float
         Gravity and its standard uncertainty, m/s²; by default normal gravity.
     accel_axes, gyro_axes : array_like, shape (n, 3)
@@ -48,8 +48,8 @@ class SensorArrays(TypedDict, total=False):
     serial : str
         Serial number of the device.
     clock_ppm_u : float
-        Standard uncertainty of the time base, parts per million, 0 for an exact one; by default 30 of
-        times and 10,000 of a rate.
+        Standard uncertainty of the time base, parts per million, 0 for an exact one; by default 30 for times and 10,000
+        for a rate.
     """
 
     accel: npt.ArrayLike
@@ -218,7 +218,7 @@ def _columns(kind: str, sensors: int) -> list[str]:
 
 
 def _temperatures(given: Temperatures, sensors: Mapping[str, int]) -> list[tuple[str, Array]]:
-    """Return the columns of the thermometers, one for all sensors or one a sensor, with temperatures in °C."""
+    """Return the columns of the thermometers, one for all sensors or one per sensor, with temperatures in °C."""
     if not isinstance(given, Mapping):
         return [("temperature", celsius_of(_series("temperature", given)))]
     check_kinds(given, sensors)

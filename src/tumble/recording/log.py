@@ -40,8 +40,8 @@ class Chunk:
     """Consecutive samples of one file, which has the index `file` in session.log.files.
 
     `time` (m,) are the ends of the samples by the clock of the log, s, `dt` (m,) the intervals, corrected for the rate
-    of that clock, s. There are accelerometers (m, na), m/s²; gyros (m, ng), rad/s; temperatures (m, T), K; and a
-    magnetometer (m, 3) in its unit."""
+    of that clock, s. The readings are those of accelerometers (m, na), m/s²; gyros (m, ng), rad/s; thermometers (m, T),
+    K; and a magnetometer (m, 3) in its unit."""
 
     file: int
     time: Array

@@ -61,8 +61,8 @@ Tables = Iterator[tuple[pl.DataFrame, list[Unread]]]
 class LogSource:
     """A file of a log, read as tables of bounded size, with the names of its columns in order.
 
-    `kept` has the tables read so far by requested columns, so that a file that is used several times is read once,
-    unless it is long; None for a file that is read anew each time."""
+    `kept` has the tables read so far, by requested columns, so that a file is read only once unless it is long; None
+    for a file that is read anew each time."""
 
     path: Path
     names: tuple[str, ...]
@@ -101,7 +101,7 @@ class LogSource:
         raise NotImplementedError
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
-        """Yield rows of all columns, `numbers` as float64, the others as they are (text in a text file)."""
+        """Yield rows of all columns, `numbers` as float64, the others unchanged (text in a text file)."""
         raise NotImplementedError
 
     def place(self, row: int, column: str | None = None) -> str:
@@ -120,7 +120,7 @@ def first_numbers(source: LogSource, column: str, rows: int, *, clock: bool) -> 
 
 
 def one_ahead(parts: Iterator[_Part]) -> Iterator[_Part]:
-    """Yield parts, and prepare the next one in a thread while one is used."""
+    """Yield parts, and prepare the next part in a thread while one is used."""
     with ThreadPoolExecutor(max_workers=1) as beside:
         ahead = beside.submit(next, parts, None)
         while (part := ahead.result()) is not None:

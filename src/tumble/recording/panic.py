@@ -17,17 +17,17 @@ from pathlib import Path
 from threading import Lock, get_native_id
 
 COMMAND_LINE: ContextVar[bool] = ContextVar("COMMAND_LINE", default=False)
-"""Whether this is the thread of a command."""
+"""Whether the current thread runs a command."""
 _REDIRECTION = Lock()
 _STANDARD_ERROR = 2
 PANIC_SECONDS = 0.1, 2.0
-"""Time that stopping threads may take to begin printing, and to end, s."""
+"""Times allowed for stopping threads to begin printing and to end, s."""
 _PANIC_MARK = b" panicked at "
 
 
 @contextmanager
 def without_panic(*, silent: bool = False) -> Iterator[None]:
-    """Delay standard error of a command to the end of the block, and drop it after a panic or if `silent`."""
+    """Delay standard error of a command to the end of the block; drop it after a panic or if `silent`."""
     if not COMMAND_LINE.get():
         yield
         return
@@ -55,7 +55,7 @@ def without_panic(*, silent: bool = False) -> Iterator[None]:
 
 
 def wait_for_panic() -> None:
-    """Wait until no other thread of the process is running, for some time at least and at most."""
+    """Wait until no other thread of the process is running, within a least and a longest time."""
     begun, ended = (time.monotonic() + seconds for seconds in PANIC_SECONDS)
     at_work = True
     while (now := time.monotonic()) < begun or (now < ended and at_work):

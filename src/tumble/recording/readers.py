@@ -34,7 +34,7 @@ _NUMBER_BYTES = 8
 
 
 def source_of(file: Path | LogSource, dialect: Dialect | None = None) -> LogSource:
-    """Return the reader of a file; a table in memory as it is; with a dialect, the reader of a text file of any name.
+    """Return the reader of a file, or a table in memory unchanged; with a dialect, any file is read as text.
 
     Raises LogError for a format that cannot be read, and for an empty or damaged file."""
     if not isinstance(file, Path):
@@ -177,8 +177,8 @@ FORMATS = (".csv", ".parquet")
 def write_tables(path: Path, tables: Iterator[pl.DataFrame], *, header: bool = True) -> None:
     """Write tables of the same columns to one file, with their names in the first line of a CSV file if `header`.
 
-    Memory does not grow with the number of tables; any error leaves the former file. Raises InputError for a name that
-    does not end in .csv or .parquet, and for columns that CSV cannot hold."""
+    Memory does not grow with the number of tables; after an error the former file is unchanged. Raises InputError for a
+    name that does not end in .csv or .parquet, and for columns that CSV cannot hold."""
     ending = ending_in(path, *FORMATS)
     failed: list[BaseException] = []
     first = next(tables)
@@ -197,7 +197,7 @@ def write_tables(path: Path, tables: Iterator[pl.DataFrame], *, header: bool = T
             raise
 
     stream = register_io_source(source, schema=first.schema, validate_schema=True)
-    with whole_file(path) as temporary, temporary.open("wb") as file:  # with a path, a late thread may create it again
+    with whole_file(path) as temporary, temporary.open("wb") as file:  # given a path, a late thread may recreate it
         try:
             if ending == ".csv":
                 stream.sink_csv(file, include_header=header, maintain_order=True)

@@ -77,7 +77,7 @@ def session_of(description: Mapping[str, Any], data: Data | None = None) -> Sess
     """
     samples: tuple[TableLog, ...] = ()
     if data is not None:
-        from tumble.recording.readers import samples_of  # polars is heavy, and only needed here
+        from tumble.recording.readers import samples_of  # polars is slow to import and only needed here
 
         log, samples = description.get("log"), samples_of(data)
         if isinstance(log, Mapping) and "file" in log:

@@ -1,1 +1,1 @@
-"""From a session to a calibration, and what is done with one: launches, comparison, verification, application."""
+"""Calibrations: their parts, file, frames, uncertainty and correction of readings."""

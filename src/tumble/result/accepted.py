@@ -24,9 +24,9 @@ _FITS: Mapping[SensorKind, tuple[str, ...]] = {
 
 
 def accepted_part(calibration: AnyCalibration, name: str | None = None) -> AnyCalibration:
-    """Return a calibration as it is, or that of its accelerometers or gyros alone if only these are accepted.
+    """Return a calibration unchanged, or that of its accelerometers or gyros alone if only these are accepted.
 
-    What is left out is named in `provenance.absent`. Raises CalibrationError, which calls the calibration `name`, if
+    Sensors left out are named in `provenance.absent`. Raises CalibrationError, which calls the calibration `name`, if
     neither is accepted."""
     if calibration.outcome.accepted:
         return calibration
@@ -50,7 +50,7 @@ def accepted_kinds(calibration: CalibrationData) -> tuple[SensorKind, ...]:
 
 
 def _alone(calibration: AnyCalibration, kind: SensorKind) -> AnyCalibration:
-    """Return the calibration without accelerometers or gyros, with all that is not of that kind."""
+    """Return the calibration of one kind of sensor, without the parts of the other kind."""
     other: SensorKind = "gyro" if kind == "accel" else "accel"
     outcome, prediction = calibration.outcome, calibration.prediction
     evidence, provenance = calibration.evidence, calibration.provenance

@@ -50,7 +50,7 @@ class Calibration(CalibrationData):
     device : CalibratedDevice
         Serial number and type.
     method, frame : str
-        Method of estimation, and frame that the parameters are given in.
+        Method of estimation, and frame of the parameters.
     parameters : tuple of Parameter
         Values with standard uncertainties, SI.
     covariance : ndarray, shape (m, m), or None
@@ -72,7 +72,7 @@ class Calibration(CalibrationData):
     evidence : Evidence
         Rests, turns, fits, budget and launches behind the parameters.
     provenance : Provenance
-        Recording and software that it comes from.
+        Recording and software of its origin.
     """
 
     def __eq__(self, other: object) -> bool:
@@ -237,7 +237,7 @@ def read_calibration(path: FilePath) -> Calibration:
 
 
 def calibration_from(given: Calibration | FilePath) -> Calibration:
-    """Return a calibration as it is, or that of a file. Raises InputError for anything else."""
+    """Return a calibration unchanged, or that of a file. Raises InputError for anything else."""
     return given if isinstance(given, Calibration) else calibration_of(*text_and_name(given))
 
 
@@ -281,7 +281,7 @@ def _check_sensors(calibration: Any) -> None:
 
 
 def calibration_of(text: str, name: str) -> Calibration:
-    """Return the calibration from the text of a file, which messages call `name`."""
+    """Return the calibration from the text of a file, named `name` in messages."""
     return parsed(_file_record(), text, name, _calibration_of_record)
 
 

@@ -19,11 +19,11 @@ temperature, M and b minimise
     Σ |y(f, 0) − M f − b|²           accelerometers, over all directions of f, |f| = g                           (2)
     Σ |y(±f, ω) − b₀ − M ω|²         gyros, over all directions of ω, at a third, two thirds and all of the rate  (3)
 
-b₀, the mean reading at rest over all attitudes, is held: a fit that trades it for the turns is wrong at every rest.
-Lever arms, delays and temperatures are in neither.
+b₀, the mean reading at rest over all attitudes, is fixed: a fit that changes it in favour of the turns is wrong at
+every rest. (2) and (3) contain no lever arms, delays and temperatures.
 
-Increments are divided by their interval, corrected and multiplied again, as if the sensor had felt the mean over the
-interval in all of it.
+Increments are divided by their interval, corrected and multiplied again, as if the input had been constant over the
+interval.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from tumble.units import DEGREE, G_STANDARD, Array
 
 USUAL_RATE = 100.0 * DEGREE  # rad/s, for calibrations without the rate of their turns
 UP, DENSE = (np.concatenate([half, -half]) for half in (directions(), np.concatenate([np.eye(3), directions(1000)])))
-"""Unit vectors (N, 3) over the sphere, each with its opposite: for fits, and for the largest error."""
+"""Unit vectors (N, 3) over the sphere, each with its opposite, for fits and for the largest error."""
 
 
 def session_rate(calibration: CalibrationData) -> float:
@@ -182,8 +182,8 @@ def thermal_tables(compensator: Compensator, kind: SensorKind) -> dict[str, Arra
 def correction_content(calibration: CalibrationData) -> dict[str, Any]:
     """Return the correction of the accepted sensors of a calibration, by kind, as its file has it.
 
-    It has the `formula` with its numbers and an `example`; if the formula is not linear also the `linear` one that fits
-    it best, with its errors."""
+    It has the `formula` with its numbers and an `example`; for a nonlinear formula also the `linear` one that fits
+    best, with its errors."""
     out, kinds = dict[str, Any](), accepted_kinds(calibration)
     if not kinds:
         return out
@@ -222,7 +222,7 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
     return out
 
 
-# -------------------- as it is computed --------------------
+# -------------------- by a compensator --------------------
 
 
 def corrected_readings(
@@ -280,7 +280,7 @@ def given_temperatures(
 ) -> dict[str, Array | None]:
     """Return the temperatures (N, n) or (N, 1), °C, of "accel" and "gyro" for samples of a shape (...), N in all.
 
-    They are given in K, (...) for all sensors, or by kind, (...) or (..., n). Raises InputError for other shapes, and
+    `temperature` is in K, (...) for all sensors, or by kind, (...) or (..., n). Raises InputError for other shapes, and
     for one thermometer if the calibration has several."""
 
     def by_sample(what: str, kelvin: npt.ArrayLike, sensors: int) -> Array:

@@ -12,10 +12,10 @@ as fully correlated. In the mean of L launches
     u² = max(s², n²)/L + g²,   ν = u⁴ ν_m / (max(s², n²)/L)²,   t(ν_m) max(s, n) = max( t(L − 1) s, t(ν_n) n )
 
 with s the standard deviation from launch to launch, n² the mean variance of a launch, with ν_n degrees of freedom, and
-g the uncertainty that is common to all launches, such as that of gravity. t(L − 1) s/√L covers as stated for any
-instability, and no other function of s and n does so (s² is complete); but two launches that agree by chance are known
-no better than each of them. The larger of both never covers less: up to 99 % without instability, 96 % if it is three
-times n.
+g the uncertainty that is common to all launches, such as that of gravity. t(L − 1) s/√L has the stated coverage for any
+instability, and no other function of s and n has it (s² is complete); but the mean of two launches that agree by chance
+is no more certain than each of them. The larger of both never covers less: up to 99 % without instability, 96 % if it
+is three times n.
 
 Source: JCGM 100:2008 (GUM), annex G.
 """
@@ -35,11 +35,11 @@ from tumble.result.parts import Parameter, coverage_factor, stated_factor
 from tumble.sensors.parameters import group_name, sensor_kind
 from tumble.units import Array
 
-UNLEARNED = 1e-9  # of a variance: a smaller unshared part counts as zero
+UNLEARNED = 1e-9  # of a variance; a smaller unshared part counts as zero
 PROBABILITY = 0.9545  # coverage probability of U
-MANY_DEGREES = 1e5  # degrees of freedom from which on u counts as known
+MANY_DEGREES = 1e5  # degrees of freedom; with more, u counts as known
 MOST_NAMED = 6  # parameters without U that are listed
-GRAVITY_EXCLUDED = 4.0  # cᵀ C⁻¹ c above which a covariance does not contain the uncertainty of gravity
+GRAVITY_EXCLUDED = 4.0  # cᵀ C⁻¹ c; above it a covariance does not contain the uncertainty of gravity
 
 
 def degrees_of_freedom(parameter: Parameter) -> float:
@@ -137,7 +137,7 @@ def gravity_sensitivity(parameters: Sequence[Parameter], covariance: Array | Non
 
         c = −(1 + k) u(g)/g · min(1, 1/√(cᵀ C⁻¹ c))
 
-    cᵀ C⁻¹ c is at most 1 if u(g) is in the covariance C, and somewhat more if a prior took part of it. The change is
+    cᵀ C⁻¹ c is at most 1 if u(g) is in the covariance C, and somewhat more if priors reduced it. The change is
     zero if u(g) is not in C."""
     zeros = np.zeros(len(parameters))
     if site is None or covariance is None or site.gravity_u == 0.0:

@@ -63,7 +63,7 @@ def file_record(*parts: type) -> type:
 
 @cache
 def adapter_of(record: type) -> TypeAdapter[Any]:
-    """Return the pydantic adapter that reads a `file_record` and has its schema."""
+    """Return the pydantic adapter that reads a `file_record` and provides its schema."""
     return TypeAdapter(record)
 
 
@@ -178,9 +178,9 @@ def text_of(path: Path) -> str:
 
 
 def parsed(record: type, text: str, name: str, build: Callable[[Any], AnyCalibration]) -> AnyCalibration:
-    """Read a calibration from the text of a file, which messages call `name`.
+    """Read a calibration from the text of a file, named `name` in messages.
 
-    `record` is a `file_record`; `build` makes the calibration of such a record, and raises ValueError if its parts
+    `record` is a `file_record`; `build` returns the calibration of such a record, and raises ValueError if its parts
     contradict each other. Raises CalibrationError with the first fault."""
     try:
         content = json_of(text)
@@ -211,7 +211,7 @@ def parsed(record: type, text: str, name: str, build: Callable[[Any], AnyCalibra
 def _first(
     content: Any, wrong: Callable[[Any, int | str], bool], key: tuple[int | str, ...] = ()
 ) -> list[tuple[tuple[int | str, ...], Any]]:
-    """Return the first value or name of a key that is `wrong`, with its key, or nothing.
+    """Return the first value or key name that is `wrong`, with its key, or nothing.
 
     `wrong` is called with the value and its key at the top level."""
     for name, each in content.items() if isinstance(content, dict) else enumerate(content):

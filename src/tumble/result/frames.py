@@ -28,8 +28,8 @@ def _converted(
 ) -> tuple[tuple[Parameter, ...], Array | None, Array, Framed]:
     """Convert parameters with their covariance from the first of two frames to the second.
 
-    Returned are also the derivative (m, m) of the new parameters with respect to the old ones, and the converted linear
-    model. Groups that belong to the axes turn, those that belong to a sensor stay."""
+    Also return the derivative (m, m) of the new parameters with respect to the old ones, and the converted linear
+    model. Groups that belong to the axes are rotated, those that belong to a sensor are unchanged."""
     linear = len([p for p in parameters if group_name(p.name) in _LINEAR])
     rest = parameters[linear:]
     framed = convert(

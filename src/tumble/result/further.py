@@ -20,12 +20,12 @@ from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
 from tumble.units import Array, engineering, two_digits
 
-WIDENED = 1.05  # factor of a prior from which on it counts as widened
-BY_PRIOR = 0.5  # learned fraction below which a parameter is known by its prior rather than by the data
+WIDENED = 1.05  # factor of a prior above which it counts as widened
+BY_PRIOR = 0.5  # learned fraction below which the prior determines a parameter rather than the data
 OPEN_BIAS_RATIO = 2.0  # u of a single bias to that of the corrected force, above which a prior decides the bias
-OTHER_THAN_TWO = 0.05  # difference of a coverage factor from 2 from which on it is shown
+OTHER_THAN_TWO = 0.05  # difference of a coverage factor from 2 above which the factor is shown
 NEGLIGIBLE = 1e-9  # m/s², rad/s: rounding of double precision
-HIDDEN_PROBABILITY = 0.05  # with which chance hides the largest scatter that may be there undetected
+HIDDEN_PROBABILITY = 0.05  # of a chi-square as small as the observed one with the largest undetected scatter
 SENSORS = {"accel": "accelerometer", "gyro": "gyro", "mag": "magnetometer"}
 _NAME = re.compile(
     r"(?P<kind>accel|gyro|mag)\.(?:axis\.(?P<pair>[xyz]{2})|(?P<what>bias|scale|axis)\."
@@ -38,8 +38,8 @@ class GroupLine:
     """A group of parameters in a calibration.
 
     `largest` is the parameter with the largest |value|, None if the session determines none; `learned` the smallest
-    learned fraction, and `learned_percent` the range, such as "66–72 %"; `prior` is SI. `remark` says that the group is
-    not determined, or that its prior was widened. The unit `shown` has the `size` in SI."""
+    learned fraction, and `learned_percent` the range, such as "66–72 %"; `prior` is SI. `remark` is set if the group is
+    not determined or its prior was widened. The unit `shown` has the `size` in SI."""
 
     name: str
     words: str
@@ -84,7 +84,7 @@ def by_group(parameters: Iterable[Parameter]) -> dict[str, list[Parameter]]:
 
 
 def group_lines(calibration: Calibration) -> tuple[GroupLine, ...]:
-    """Return a line for every group beyond the linear model that the calibration has or has looked for."""
+    """Return a line for every group beyond the linear model that the calibration has or tested."""
     findings, lines = {group.name: group for group in calibration.groups}, []
     silent: dict[str, list[Parameter]] = {name: [] for name in findings}
     for name, members in (silent | by_group(further_parameters(calibration.parameters))).items():
@@ -198,7 +198,7 @@ def has_other_factors(parameters: Sequence[Parameter]) -> bool:
 def linear_errors_text(calibration: Calibration) -> str:
     """Return a sentence on the errors of a correction by matrix and bias alone; empty if these are the whole model.
 
-    They are those of the specific force at 1 g over all attitudes, and of the rate of the prediction about all axes."""
+    These errors are of the specific force at 1 g in all attitudes, and of the rate of the prediction about all axes."""
     if calibration.accel is None or calibration.compensator.linear:
         return ""
     prediction = calibration.prediction
@@ -223,10 +223,10 @@ def linear_errors_text(calibration: Calibration) -> str:
 
 
 def remarks(calibration: Calibration) -> tuple[str, ...]:
-    """Return remarks on parameters without U, and on scatter that few residuals may not have shown."""
+    """Return remarks on parameters without U, and on scatter that few residuals may not reveal."""
 
     def hidden_scatter(fit: Fit) -> float:
-        """Return the largest scatter, in units of the noise, for which chi-square is so small with a probability of
+        """Return the largest scatter, in units of the noise, for which chi-square is as small with
         HIDDEN_PROBABILITY."""
         least = 2.0 * float(scipy.special.gammaincinv(0.5 * fit.degrees, HIDDEN_PROBABILITY))
         return sqrt(max(fit.chi_square / least - 1.0, 0.0)) if least > 0.0 else inf

@@ -17,8 +17,8 @@ from tumble.units import Array
 class LaunchVariances:
     """Variances of the parameters of a device from launch to launch.
 
-    `logs` are the SHA-256 of the logs of the launches, `degrees` is one fewer than their number, and `variances` are by
-    parameter, SI."""
+    `logs` are the SHA-256 of the launches' logs, `degrees` is one less than their number; `variances` are by parameter,
+    SI."""
 
     serial: str
     logs: frozenset[str]

@@ -1,6 +1,6 @@
 """Parts of a calibration: parameters, rests, turns, readings, launches, evidence and provenance.
 
-The annotations of the fields have the checks of the calibration file, and describe how types that are no plain
+The annotations of the fields contain the checks of the calibration file, and define how types that are no plain
 dataclasses are read from it (`FromTable`); `tumble.result.file` writes it.
 """
 
@@ -34,7 +34,7 @@ LARGEST, LEAST = 1e60, 1e-60  # largest number of a file, and smallest uncertain
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class FromTable:
-    """Annotation of a type that the file has as a `table`, from which the function `read` makes it."""
+    """Annotation of a type that is a `table` in the file; the function `read` converts the table to the type."""
 
     table: Any
     read: Callable[[Any], Any]
@@ -75,7 +75,7 @@ Matrix = Annotated[tuple[Vector, ...], Field(max_length=MOST_PARAMETERS)]
 
 
 class Estimated(Protocol):
-    """A value with its standard uncertainty, SI, and the degrees of freedom of this, None if infinite."""
+    """A value with its standard uncertainty, SI, and the degrees of freedom of u, None if infinite."""
 
     @property
     def value(self) -> float: ...
@@ -90,8 +90,8 @@ class Parameter:
     """A named quantity with its standard uncertainty `u`, SI, None if the method gives none.
 
     `dof` are the degrees of freedom of u, None if the noise is known. `prior` is the standard deviation of the prior,
-    `learned` the fraction of its variance that the session has removed, 0 to 1. `deviation` is that from the systematic
-    (passport) calibration of the session, `run_to_run` the standard deviation from launch to launch in a mean."""
+    `learned` the fraction of its variance that the session has removed, 0 to 1. `deviation` is from the systematic
+    (passport) calibration of the session, `run_to_run` the standard deviation from launch to launch for a mean."""
 
     name: Name
     value: float
@@ -110,7 +110,7 @@ class Parameter:
 
 
 def learned_fraction(u: float, prior: float) -> float:
-    """Return the fraction of the variance of a prior, given as standard deviation, that u lacks, 0 to 1."""
+    """Return the fraction, 0 to 1, by which u² is below the variance of a prior with a standard deviation."""
     return min(max(1.0 - (u / prior) ** 2, 0.0), 1.0)
 
 
@@ -128,7 +128,7 @@ Parameters = Annotated[
 ]
 
 FEWEST_DEGREES = 0.99
-"""Degrees of freedom of a stated U at least: one, as of two readings, but for rounding. With fewer, t exceeds 14."""
+"""Least degrees of freedom of a stated U: one, as of two readings, less rounding. With fewer, t exceeds 14."""
 
 
 def stated_factor(degrees: float | None) -> float | None:
@@ -144,7 +144,7 @@ def coverage_factor(degrees: float) -> float:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class SourceContributions(Source):
-    """A source of uncertainty with its contributions to the u of parameters, SI, by their names; others have none."""
+    """A source of uncertainty with its nonzero contributions to the u of parameters, SI, by their names."""
 
     contributions: Mapping[str, Size]
 
@@ -187,7 +187,7 @@ AtRest = Annotated[SensorsAtRest, AfterValidator(_of_equal_length)]
 class RestResult:
     """A rest as used: times, s, residual |corrected reading| − g, m/s², and its distance from the fit in sigmas.
 
-    It has the code of its attitude in the programme, the readings of its sensors and its temperature, °C, if known."""
+    It also has its attitude code in the programme, the readings of its sensors and its temperature, °C, if known."""
 
     file: Count = 0
     start: float
@@ -330,7 +330,7 @@ class CalibratedDevice:
 class CalibratedTemperature:
     """Reference temperatures of the parameters, °C.
 
-    `reference` is the mean over the thermometers, `range` that of rests that are not in the file. `thermometers` and
+    `reference` is the mean over the thermometers, `range` that of rests not in the file. `thermometers` and
     `references` have, for each sensor of "accel" and "gyro", the column of its thermometer and its own reference."""
 
     reference: float | None = None
@@ -396,7 +396,7 @@ class Launch:
 class Member:
     """One of several sessions in one estimate.
 
-    It has the numbers of its rests, of those that warm part by part, and turns, the lowest and highest temperature of
+    It has the numbers of its rests (of the parts of rests that warm) and turns, the lowest and highest temperature of
     its rests, °C, and the parameters of this session alone; `date` is ISO 8601."""
 
     session: str
@@ -455,7 +455,7 @@ class Provenance:
     `log_sha256` is that of the log or of the list of several, `created` the time of computing, ISO 8601, `prior` names
     the devices of the type whose calibrations were the prior, `sample_rate` is in Hz, and `clock_u` is the relative
     standard uncertainty of the time base. `readings` describe "accel", "gyro" and "mag". `notes` are sentences on the
-    recording and the estimate, `assumptions` on what was not stated, and `absent` on sensors that the calibration does
+    recording and the estimate, `assumptions` on missing statements, and `absent` on sensors that the calibration does
     not have."""
 
     log_sha256: str | None = None

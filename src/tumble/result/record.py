@@ -144,7 +144,7 @@ class CalibrationData(Mapping[str, Parameter]):
         return np.asarray(self.covariance[np.ix_(chosen, chosen)])
 
     def __getitem__(self, name: str) -> Parameter:
-        """Return the parameter of that name. Raises KeyError, which says why if the calibration has no parameters."""
+        """Return the parameter of that name. Raises KeyError, with the reason if the calibration has no parameters."""
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter

@@ -1,10 +1,10 @@
-"""Errors that two calibrations of one device share, and which cancel in their difference.
+"""Errors common to two calibrations of one device, which cancel in their difference.
 
-Shared are: the error of gravity, in the scale factors of accelerometers, if both used the same stated gravity with the
+These are the error of gravity, in the scale factors of accelerometers, if both used the same stated gravity with the
 same uncertainty; that of the time base, in the scale factors of gyros, if both state the same uncertainty; and that of
-the prior of a property of the device. An estimate with the covariance C follows the mean of a prior of variance s² by
-C s⁻², so that one standard deviation of the prior changes it by C/s. Where s was estimated, the changes by the prior of
-a group are scaled to its contribution in the uncertainty budget. Without a budget all s are widened by one factor, the
+the prior of a property of the device. An estimate with the covariance C follows the mean of a prior of variance s² by C
+s⁻², so that one standard deviation of the prior changes it by C/s. Where s was estimated, the changes by the prior of a
+group are scaled to its contribution in the uncertainty budget. Without a budget all s are widened by one factor, the
 least for which all these changes together are within C: the largest eigenvalue of S⁻¹ C S⁻¹, S = diag(s), is then at
 most 1. With g₁ and g₂ the changes of the two calibrations by one standard uncertainty of a shared error,
 
@@ -28,8 +28,8 @@ GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "what only priors say"
 
 
 def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Array, Array]]:
-    """Return, by source, the changes of the parameters of the first (m₁, k) and of the second (m₂, k) by one standard
-    uncertainty of each of k shared errors."""
+    """Return, by source, the changes of the parameters of the first (m₁, k) and the second (m₂, k) calibration by one
+    standard uncertainty of each of k shared errors."""
     changes_by_source = {}
     if shared_gravity(first.provenance.site, second.provenance.site):
         ours, theirs = (
@@ -79,7 +79,7 @@ def prior_sensitivities(
 
 
 def is_device_property(parameter: str) -> bool:
-    """Return True if a parameter or group is a property of the device and not of one session, as drifts are."""
+    """Return True if a parameter or group is a property of the device, unlike drifts, which belong to one session."""
     return variable_of(parameter) != "time"
 
 

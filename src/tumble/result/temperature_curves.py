@@ -18,7 +18,7 @@ from tumble.result.record import CalibrationData, reference_of_parameter
 from tumble.sensors.parameters import OVER_TEMPERATURE, units_of
 from tumble.units import Array
 
-_LEAST_SPAN = 0.05  # K, of the temperatures of rests that show coefficients
+_LEAST_SPAN = 0.05  # K, least span of temperatures of rests that determines coefficients
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -51,7 +51,7 @@ def temperature_of(rest: RestResult, kind: str) -> float:
 
 
 def thermometer_notes(calibration: CalibrationData) -> list[str]:
-    """Return a sentence on which thermometer belongs to which sensor, if there are several."""
+    """Return a sentence that assigns thermometers to sensors, if there are several."""
     if len(set(chain(*calibration.temperature.thermometers.values()))) < 2:
         return []
     sentence = "the temperature of each sensor, and its reference, is that of its own thermometer"
@@ -102,7 +102,7 @@ def temperature_curve(calibration: CalibrationData, name: str, temperature: Arra
     parameters, expanded, degrees = [calibration.parameters[i] for i in members], None, None
     if calibration.covariance is not None:
         # Welch–Satterthwaite (JCGM 100:2008, G.4.1), but at least the fewest degrees of freedom of a parameter, as for
-        # independent parameters: it does not hold for anticorrelated ones, whose sum is known better than they are
+        # independent parameters: it fails for anticorrelated ones, whose sum is known better than each of them
         S = calibration.covariance[np.ix_(members, members)]
         u2 = np.einsum("ni,ij,nj->n", P, S, P)
         per_degree = np.array([0.0 if p.dof is None else 1.0 / p.dof for p in parameters])

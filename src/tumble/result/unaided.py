@@ -8,17 +8,17 @@ navigated by its inertial sensors alone for a time t, without turning. To first 
     position  r = ½ (f + g f/g) t² + g ω t³/6                                                                    (3)
 
 f is the horizontal error of the specific force at rest, and ω and ω_u are the errors of the rate about the horizontal
-axes and the vertical. Levelling tilts the attitude by f/g; at that heading the component of gravity that the tilt adds
-cancels f. After the turn f has turned with the body and the tilt has not: over all headings the two are uncorrelated
-and add in quadrature. The drift ω t adds the acceleration g ω t, integrated twice in (3).
+axes and the vertical. Levelling tilts the attitude by f/g; at that heading the component of gravity added by the tilt
+cancels f. In the turn f turns with the body but the tilt does not: over all headings the two are uncorrelated and add
+in quadrature. The drift ω t adds the acceleration g ω t, integrated twice in (3).
 
 With the biases b and the axis angles α of the accelerometers, and the gyro biases β, over all three axes up or down,
 
     f² = (2/3) Σ b² + (g²/3) Σ α²,   ω² = (2/3) Σ β²,   ω_u² = (1/3) Σ β²                                        (4)
 
 summed over both horizontal axes. Before calibration the squares are those of the parameters themselves, after it their
-variances in the next recording, with in-run bias and, where known, changes from launch to launch. Noise, scale factors
-(which need a motion) and the Earth's rate times the errors of the gyros are neglected.
+variances in the next recording, with in-run bias and, where known, changes from launch to launch. Noise, errors of
+scale factors (which need motion) and products of the Earth's rate and gyro errors are neglected.
 """
 
 from __future__ import annotations
@@ -89,9 +89,9 @@ def unaided(calibration: Calibration, seconds: float = SECONDS) -> tuple[Unaided
 def improvement(calibration: Calibration) -> tuple[str, ...]:
     """Return up to two sentences on what the calibration improves: errors of readings, and of a vehicle without aid.
 
-    After calibration the error of a reading is its standard uncertainty; before it also the correction, as root mean
-    square over all attitudes at rest, or over all axes at the rate of the session's turns. Sensors that are not
-    accepted are left out."""
+    After calibration the error of a reading is its standard uncertainty, before it also the correction, root mean
+    square over all attitudes at rest or over all axes at the rate of the session's turns. Sensors that are not accepted
+    are left out."""
     prediction, accepted, clauses = calibration.prediction, accepted_kinds(calibration), list[str]()
     if prediction is not None and "accel" in accepted:
         before, after = _off_by(calibration, "accel", prediction.force_u)
@@ -120,16 +120,16 @@ _LENGTHS = ((1e-2, " cm"), (1.0, " m"), (1e3, " km"))
 
 
 def _change(corrected: float, remaining: float, units: Sequence[tuple[float, str]], limit: float = 1.0) -> str:
-    """Return both errors with an arrow between, each in the largest unit of which it is at least `limit`.
+    """Return both errors with an arrow between, each in the largest unit in which it is at least `limit`.
 
-    Before calibration there was the correction beside the error that remains."""
+    The error before calibration contains the correction and the remaining error."""
     shown = ((value, *coarsest(units, value, limit=limit)) for value in (hypot(corrected, remaining), remaining))
     return " → ".join(f"{two_digits(value / size)}{name}" for value, size, name in shown)
 
 
 def _off_by(calibration: Calibration, kind: SensorKind, u: float) -> tuple[float, float]:
-    """Return the root mean square error of vectors of uncorrected readings, and the standard uncertainty of corrected
-    ones where that of each sensor is u, SI."""
+    """Return the root mean square error of uncorrected vectors, and the standard uncertainty of corrected vectors if
+    that of each sensor is u, SI."""
     block, _ = calibration.compensator.sensors(kind)
     assert block is not None
     nominal = left_inverse(block.axes)

@@ -26,7 +26,7 @@ from tumble.result.record import CalibrationData
 from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind
 from tumble.units import Array
 
-ROUNDING = 1e-15  # of a variance: a smaller contribution is zero
+ROUNDING = 1e-15  # of a variance; a smaller contribution is zero
 REFERENCES: Mapping[str, tuple[str, ...]] = {"accel": ("gravity",), "gyro": ("gravity", "earth", "clock"), "mag": ()}
 """Reference standards of each kind of sensor."""
 
@@ -50,9 +50,9 @@ class BudgetLine(Source):
 def contributions_of(
     budget: UncertaintyBudget | None, names: Sequence[str], basis: Mapping[str, str] | None = None
 ) -> tuple[SourceContributions, ...]:
-    """Return the sources of a budget with their contributions to the u of its parameters, whose `names` are given.
+    """Return the sources of a budget with their contributions to the u of its parameters, which have these `names`.
 
-    `basis` says, by group of parameters, where the size of its prior comes from."""
+    `basis` is the origin of the size of the prior by group of parameters."""
     if budget is None:
         return ()
     variances = np.diagonal(budget.covariances, axis1=1, axis2=2)
@@ -126,7 +126,7 @@ def shares_by_group(calibration: CalibrationData) -> dict[str, Array]:
 
 
 def shares_of_priors(calibration: CalibrationData) -> dict[str, dict[str, float]]:
-    """Return, by basis of the sizes of priors, their mean share in u² over each group of the linear model.
+    """Return the mean share of priors in u² over each group of the linear model, by the basis of their sizes.
 
     A basis is a data sheet, a guessed grade or other units of the type."""
     shares, by_basis = shares_by_group(calibration), dict[str, dict[str, float]]()

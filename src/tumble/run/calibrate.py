@@ -51,12 +51,12 @@ _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
-OTHER_GRADE_NOISE = 10.0  # ratio to the usual white noise of a grade; within a grade it differs by 3
-CLOCK_CONTRADICTED = 3.0  # u of the time base, from which on an error of the clock is a remark instead of a note
+OTHER_GRADE_NOISE = 10.0  # ratio to the usual white noise of a grade; within a grade noise differs by a factor of 3
+CLOCK_CONTRADICTED = 3.0  # u of the time base; a larger error of the clock is a remark instead of a note
 
 
 def _imported(module: str, name: str) -> Callable[..., Estimate]:
-    """Return a method that is imported when it is first called."""
+    """Return a method that is imported on its first call."""
     return lambda *args, **words: getattr(import_module(f"tumble.methods.{module}"), name)(*args, **words)
 
 
@@ -90,7 +90,7 @@ def calibrate(
     Parameters
     ----------
     session
-        A session or the path of its folder. Without it, give the readings as `accel=…, gyro=…, rate=…`.
+        A session or the path of its folder; None for readings given as `accel=…, gyro=…, rate=…`.
     method
         `joint`, maximum likelihood of all readings; `sequential`, `scalar` and `scalar-nominal`, the methods of the
         paper, the last in the attitudes of the programme; `ellipsoid`, accelerometers alone, without attitudes.
@@ -99,18 +99,18 @@ def calibrate(
     frame
         Frame of the result: `accelerometer`, `paper`, `symmetric` or `case`.
     terms
-        `full`, or `linear` for bias, scale factor and axis angles alone; the other groups are then in their u with the
-        usual size.
+        `full`, or `linear` for bias, scale factor and axis angles alone; their u then includes the other groups with
+        the usual size.
     without
         Numbers from 1 of rests to leave out, in addition to those that the session excludes.
     prior
-        Prior from calibrations of other devices of the type, such as `Registry.prior` gives, in place of sizes usual
+        Prior from calibrations of other devices of the type, such as that of `Registry.prior`, instead of sizes usual
         for the grade; for the method `joint` with all terms.
     base
-        Calibration of the device, or its file, whose biases get coefficients over temperature from a recording at rest
-        while it warms or cools; for the method `joint` with all terms.
+        Calibration of the device, or its file, to whose biases a recording at rest while it warms or cools adds
+        temperature coefficients; for the method `joint` with all terms.
     progress
-        Function that yields the chunks of a log as they are read, such as one that draws a bar.
+        Function that yields the chunks of a log while it is read, for example with a progress bar.
     **arrays
         Readings in memory and their description, see `tumble.types.SensorArrays`. For gyros alone the biases are
         calibrated.
@@ -170,11 +170,11 @@ def calibrate(
         calibration = _with(calibration, notes=(UNSCALED,))
     if not recording.excluded:
         return calibration
-    # rests left out are a choice that no u contains: the outcome of the whole recording is given too
+    # no u contains the choice of rests left out: the outcome of the whole recording is also stated
     try:
         whole = replace(recording, excluded=())
         outcome = _calibrated(whole, method, estimator, frame, terms, progress, prior, base_calibration).outcome
-    except InputError as error:  # a rest too many for the programme, such as a knocked one
+    except InputError as error:  # more rests than positions in the programme, for example after a knock
         outcome = Outcome(reasons=(str(error),))
     note = f"with what was left out: {': '.join(filter(None, [outcome.verdict, '; '.join(outcome.reasons)]))}"
     by_choice = tuple(kind for kind in accepted_kinds(calibration) if not outcome.of(kind))
@@ -193,9 +193,9 @@ def _calibrated(
     base: Calibration | None,
     clock: ClockByEarth | None = None,
 ) -> Calibration:
-    """Calibrate with the rests that a session does not leave out.
+    """Calibrate with the rests that a session does not exclude.
 
-    If the Earth's rate contradicts the clock of the log, the estimate is repeated with the `clock` that it shows."""
+    If the Earth's rate contradicts the clock of the log, the estimate is repeated with a corrected `clock`."""
     systematic = passport_values(session)
     options = (estimator, systematic, terms, prior, clock)
     with ThreadPoolExecutor(max_workers=1) as executor:
@@ -316,10 +316,10 @@ def with_grade(session: Session, observations: Observations) -> Observations:
 
 
 def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
-    """Return the grade of a session's device, and what it was guessed from, or "" if it is the stated one.
+    """Return the grade of a session's device, and the evidence if it was guessed, or "" if it was stated.
 
-    It is guessed if none is stated, and if the recording excludes the stated one: the guess is a poorer grade, and the
-    noise exceeds OTHER_GRADE_NOISE times that of the stated one, or gyros have biases that it does not have."""
+    It is guessed if none is stated, or if the recording contradicts the stated grade: the guess is a poorer grade, and
+    the noise exceeds OTHER_GRADE_NOISE times that of the stated grade, or gyro biases are too large for it."""
     rests, links = observations.rests, observations.links
     white = {  # median noise density, SI/√Hz: at rest, or in motion without rests
         kind: float(np.median(noise))

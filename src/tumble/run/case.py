@@ -1,8 +1,8 @@
 """Alignment of the accelerometers to the case of the device, from rests on its faces.
 
 The accelerometers give the vertical in their frame b at every rest, u_i, to a few µrad. Where the device stands on a
-face, the vertical is along ±X, ±Y or ±Z of the case, n_i, but for the tilt of the plate and the seating. The rotation
-C_cb that takes u_i to n_i best is the solution of Wahba's problem. With a_i = C_cb u_i, from Σ a_i × n_i = 0
+face, the vertical is along ±X, ±Y or ±Z of the case, n_i, except for the tilt of the plate and the seating. The
+rotation C_cb that takes u_i to n_i best is the solution of Wahba's problem. With a_i = C_cb u_i, from Σ a_i × n_i = 0
 follow the rotation ψ by which it changes with u_i, and, with the scatter s of the placements, its covariance,
 
     J ψ = Σ (C_cb δu_i) × n_i,     J = Σ [(a_i·n_i) I − ½(a_i n_iᵀ + n_i a_iᵀ)],     Cov ψ = s² J⁻¹
@@ -29,7 +29,7 @@ from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import SensorModel
 from tumble.units import DEGREE, Array
 
-_ON_A_FACE = np.cos(1.0 * DEGREE)  # of the nominal vertical along an axis of the case
+_ON_A_FACE = np.cos(1.0 * DEGREE)  # least component of the nominal vertical along an axis of the case
 _SINGULAR = 1e-6  # smallest singular value of normals in three directions
 _WAYS = (("up", 1.0), ("down", -1.0))
 
@@ -105,8 +105,8 @@ def align_case(vertical: Array, by_parameters: Array, normals_c: Array) -> CaseA
 def case_of(observations: Observations, vertical: Array, by_parameters: Array) -> CaseAlignment:
     """Align the accelerometers to the case in a session whose programme stands on all six faces.
 
-    `vertical` (N, 3) are those of all rests, `by_parameters` (N, 3, m) their derivative. Raises InputError where the
-    session does not give the case."""
+    `vertical` (N, 3) are those of all rests, `by_parameters` (N, 3, m) their derivative. Raises InputError if the
+    session does not determine the case."""
     programme, position = observations.programme, observations.position
     if programme is None or position is None:
         raise InputError(
@@ -126,9 +126,9 @@ def case_of(observations: Observations, vertical: Array, by_parameters: Array) -
 
 
 def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) -> tuple[Estimate, CaseAlignment | None]:
-    """Convert an estimate from the frame of the accelerometers to another, with the alignment where that is the case.
+    """Convert an estimate from the frame of the accelerometers to another; for `case` return also the alignment.
 
-    All parameters of the estimate must be observable. Raises InputError where the session does not give the case."""
+    All parameters of the estimate must be observable. Raises InputError if the session does not determine the case."""
     from scipy.linalg import block_diag
 
     accel, alignment = observations.accel_block, None

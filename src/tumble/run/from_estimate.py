@@ -44,8 +44,8 @@ LAGS = {"accel.lag": "accelerometers", "gyro.lag": "gyros"}
 SIGNIFICANT_SLOPE = 3.0  # u, of a slope over temperature
 GAPS_SHOWN = 5
 ONE_RATE = 1.3
-"""Ratio of the largest to the smallest rms rate of turns below which they count as one rate: for other rates, scale
-factors that change with the square of the rate would be known seven times worse."""
+"""Ratio of the largest to the smallest rms rate of turns, below which they count as one rate: extrapolated to other
+rates, scale factors that change with the square of the rate would be seven times less certain."""
 
 
 def build_calibration(
@@ -65,7 +65,7 @@ def build_calibration(
     priors, thermal_notes = prior_fields(estimate), tuple(temperature_notes(estimate, observations))
     case = None
     if frame != "accelerometer":
-        systematic = {}  # is in the frame of the accelerometers
+        systematic = {}  # it is in the frame of the accelerometers
         if complete:
             from tumble.run.case import estimate_in
 
@@ -164,7 +164,7 @@ def build_parameters(
 def prior_fields(estimate: Estimate) -> dict[str, dict[str, float]]:
     """Return the widened prior and the learned fraction of parameters, by name.
 
-    Parameters of groups beyond the linear model have them, and all for which the type of the device has a prior."""
+    Parameters of groups beyond the linear model have these, and all parameters with a prior of the device type."""
     u = dict(zip(estimate.names, estimate.u.tolist(), strict=True))
     type_priors = {name: {"prior": s, "learned": learned_fraction(u[name], s)} for name, s in estimate.of_type.items()}
     if estimate.instrument is None:
@@ -234,7 +234,7 @@ def check_sensors(calibration: Calibration, session: Session) -> None:
 def rest_results(estimate: Estimate, observations: Observations) -> tuple[RestResult, ...]:
     """Return the rests of a calibration.
 
-    Raises InputError if the fit diverged, as it may if all rests are nearly in one attitude."""
+    Raises InputError if the fit diverged, which can happen if all rests are nearly in one attitude."""
     rests = observations.rests
     if not np.isfinite(estimate.rest_residual).all():
         raise InputError(
@@ -274,7 +274,7 @@ def turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnRe
     turns, programme, position = observations.turns, observations.programme, observations.position
     if turns is None or not len(estimate.turn_sigmas):
         return ()
-    rotations, linearised = turns.C, estimate.linearised  # nominal without gyros, else as in the likelihood
+    rotations, linearised = turns.C, estimate.linearised  # nominal ones without gyros, else of the likelihood
     if estimate.gyro is not None and linearised is not None and linearised.about is not None:
         rotations = linearised.rotations
     elif estimate.gyro is not None:
@@ -303,7 +303,7 @@ def turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnRe
 
 
 def gap_notes(gaps: Sequence[Gap]) -> tuple[str, ...]:
-    """Return notes on gaps that were bridged or left out: the first of each kind, and how many more."""
+    """Return notes on gaps that were bridged or left out: the first of each kind, and the number of others."""
     kinds = {
         "bridged": [gap for gap in gaps if gap.samples and gap.integrable],
         "left out": [gap for gap in gaps if not gap.samples],

@@ -57,21 +57,21 @@ from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import FURTHER, Terms, prior_sizes
 from tumble.units import Array, engineering, fitting_units, is_near_one
 
-SCATTER_REMARK = 1e-3  # relative to gravity: good instruments scatter less, but readings of few digits do
-SCATTER_LIMIT = 2e-2  # relative to gravity: a triad that scatters more does not follow the model
+SCATTER_REMARK = 1e-3  # relative to gravity; good instruments scatter less unless their readings have few digits
+SCATTER_LIMIT = 2e-2  # relative to gravity; a triad that scatters more does not follow the model
 FEWEST_POSITIONS = 6  # for bias and scale factor of each sensor
-RECORDING_ROWS = 100  # from here on a table may be a recording of a device in motion
-WILD_RATIO = 30.0  # to the median length of the readings: no sensor reads one vector so differently
-LEAST_NOISE = 1e-6  # relative to gravity, of a reading that no redundancy checks
+RECORDING_ROWS = 100  # a longer table may be a recording of a device in motion
+WILD_RATIO = 30.0  # relative to the median length of the readings; no real reading of gravity differs so much
+LEAST_NOISE = 1e-6  # relative to gravity, of a reading without redundancy
 MOST_SUSPECTS = 4  # positions named as the first to look at
-OUTLIER_PROBABILITY = 1e-3  # of one such position by chance in a table, below which it does not fit
-SINGLE_OUTLIER_PROBABILITY = 1e-2  # the same where the scatter is large: it is then not common to all positions
+OUTLIER_PROBABILITY = 1e-3  # of one such residual by chance in a table, below which the position does not fit
+SINGLE_OUTLIER_PROBABILITY = 1e-2  # the same if the scatter is large, when it is not common to all positions
 REST_GROUPS = tuple(
     group.name
     for group in FURTHER
     if group.kind == "accel" and (group.regressors is not None or group.variable == "time")
 )
-"""Groups of parameters that readings at rest show without a known temperature or motion."""
+"""Groups of parameters that affect readings at rest without a known temperature or motion."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, repr=False)
@@ -107,7 +107,7 @@ def calibrate_readings(
     Parameters
     ----------
     readings
-        Array of shape (N, 3), a row per position; or the path of a CSV file with the names of three columns above the
+        Array of shape (N, 3), one row per position; or the path of a CSV file with the names of three columns above the
         rows.
     unit
         Unit of the readings: V, count, g or m/s^2.
@@ -115,17 +115,16 @@ def calibrate_readings(
         Nominal output per unit, one number or three, signed by polarity; only for V and count. By default it is taken
         from the readings.
     scale_per
-        Unit that the scale is per, g (default) or m/s^2.
+        Unit of the input in `scale`, g (default) or m/s^2.
     gravity, gravity_u
-        Gravity and its standard uncertainty, m/s²; by default gravity at the place is the unit and counts as
-        9.80665 m/s².
+        Gravity and its standard uncertainty, m/s²; by default gravity at the place is the unit, taken as 9.80665 m/s².
     directions
         Rough direction (3,) of up in positions by their numbers from 1; they give the polarity of the columns.
     rows_per_position
         Number of rows of each position; equal positions count once.
     grade
-        Grade of the accelerometers. It gives the usual size with which terms beyond bias, scale factor and axis angles
-        are in u; if None, the size of any grade that the residuals allow.
+        Grade of the accelerometers, which gives the size of the terms beyond bias, scale factor and axis angles in u;
+        if None, the size of any grade that the residuals allow.
     terms
         `full`, or `linear` to leave these terms out of u.
     frame
@@ -178,7 +177,7 @@ def calibrate_readings(
         fit, estimate, notes = _estimated(fitted, noise, table, nominal, grade, terms)
         outcome = Outcome(reasons=tuple(_reasons(table, nominal, fit)), remarks=tuple(_remarks(table, nominal, fit)))
     else:
-        refusal = undetermined(nominal.to_si(rows.values), block=TRIAD) or fitted  # of the rows as they are written
+        refusal = undetermined(nominal.to_si(rows.values), block=TRIAD) or fitted  # of the rows as written
         by_faces = _by_faces(table, nominal, noise, grade, terms) if len(refusal.null) else None
         misstated = None if len(refusal.null) else _misstated(nominal, fitted_outputs(table.values, nominal.gravity))
         outcome = Outcome(reasons=(misstated or refusal.reason,), unobservable=TRIAD.names)
@@ -190,7 +189,7 @@ def calibrate_readings(
         estimate, _ = estimate_in(frame, estimate, _rests(table, nominal, np.zeros((3, 3))))
     determined = np.flatnonzero([] if estimate is None else estimate.observable)
     parameters = () if estimate is None else build_parameters(estimate, determined, {}, learned)
-    # if the scatter is estimated from single rows it contains the uncertainty of a row
+    # scatter estimated from single rows contains the uncertainty of a row
     row_known = fit is not None and (table.covariance is not None or fit.scatter == 0.0)
     meaning = Readings(
         columns=table.columns,
@@ -269,7 +268,7 @@ def _estimated(
 ) -> tuple[EllipsoidFit, Estimate, tuple[str, ...]]:
     """Return the fit, the estimate of the method `ellipsoid`, and a note on the groups of parameters in its u.
 
-    Outliers are fitted too if the groups that the fit leaves out explain all of their residuals."""
+    Outliers are fitted too if the groups left out of the fit explain all their residuals."""
     rests = _rests(table, nominal, noise)
     if terms == "linear" or fit.covariance is None:
         return fit, estimate_of(fit, rests), ()
@@ -365,7 +364,7 @@ def _limit(table: ReadingsTable, fit: EllipsoidFit) -> float:
 
 
 def _scatter(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> str:
-    """Say that readings scatter by more than they should, and which positions to look at first."""
+    """Return a sentence on readings with too large a scatter and the positions to look at first."""
     size, unit = engineering("m/s^2", fit.scatter)
     suspects, look = () if fit.worst is None else (fit.worst.position, *fit.worst.rivals), ""
     if fit.worst is not None and len(suspects) <= MOST_SUSPECTS and fit.worst.scatter < 0.5 * fit.scatter:
@@ -376,7 +375,7 @@ def _scatter(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> str:
 
 
 def _sigmas(probability: float, table: ReadingsTable) -> float:
-    """Return the normal quantile that chance exceeds in one of all positions with a probability (Bonferroni)."""
+    """Return the normal quantile that chance exceeds in any of the positions with a probability (Bonferroni)."""
     return float(-scipy.special.ndtri(0.5 * probability / len(table.values)))
 
 
@@ -385,7 +384,7 @@ def _named(table: ReadingsTable, positions: Iterable[int]) -> str:
 
 
 def _misstated(nominal: Nominal, outputs_si: Array | None) -> str | None:
-    """Say that outputs (3,) per m/s² contradict the stated scale and unit, and which would fit."""
+    """Return a sentence if outputs (3,) per m/s² contradict the stated scale and unit, with those that would fit."""
     if nominal.estimated or outputs_si is None or is_near_one(outputs_si / np.abs(nominal.scale)):
         return None
     per_unit = np.sign(nominal.scale) * outputs_si * UNITS[nominal.per]

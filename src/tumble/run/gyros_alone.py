@@ -6,7 +6,7 @@ With the means of N rests, whose noise is σ_k and whose scatter beyond it is s,
 
     u² = (s² + mean σ_k²)/N + Ω²/3 + (G g)²                                                                      (1)
 
-where G is the usual g-sensitivity of the grade with the nearest noise. Rests show no scale factors or axes.
+where G is the usual g-sensitivity of the grade with the nearest noise. Rests do not determine scale factors or axes.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ WHAT_TO_RECORD = (
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class GyroRests:
-    """Rests of a log of gyros, which take the place of accelerometers in its session.
+    """Rests of a log of gyros, whose session has them in place of accelerometers.
 
     `mean` (N, 3) are the readings at rest, rad/s, and `noise` (N, 3) their standard deviations."""
 
@@ -87,7 +87,7 @@ def gyro_rests(session: Session, progress: Progress = Log.chunks) -> GyroRests:
     reduction = reduce_log(log, accel, gyro, chunks)
     segmentation = find_rests(reduction, accel, gyro)
     files = reduction.by_file
-    # if nothing rests the limit is that of the movement, which no vertical shows
+    # if nothing rests, the limit follows from movement, which no vertical reveals
     moved = session.log.accel.scale_stated and (segmentation.rate_limit or 0.0) > segmentation.tuning.level_drift
     if not segmentation.rests or moved:
         still = segmentation.tuning.still

@@ -2,7 +2,7 @@
 
 The covariance of the mean of L launches is the mean of their covariances over L; on the diagonal it is the variance
 from launch to launch over L where that is larger. Errors of gravity, priors and the time base are common to all
-launches: they are separated before and do not average out (`tumble.result.coverage`).
+launches: they are separated first and do not average out (`tumble.result.coverage`).
 """
 
 from __future__ import annotations
@@ -169,7 +169,7 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
         temperature=temperature,
         evidence=Evidence(
             budget=contributions_of(budget, names),
-            iterations=tuple(  # a launch with fewer iterations added nothing in the last ones
+            iterations=tuple(  # a launch with fewer iterations has zero increments in the last ones
                 {name: sum(step.get(name, 0.0) for step in steps) / count for name in names}
                 for steps in zip_longest(*(launch.evidence.iterations for launch in launches), fillvalue={})
             ),
@@ -197,7 +197,7 @@ def _shared_covariances(
 ) -> dict[str, Array]:
     """Return covariances (L, m, m) of errors that the launches share, by source.
 
-    The sources are gravity if they used one value of it, the time base, whose standard uncertainty changes the
+    The sources are gravity, if all used the same value, the time base, whose standard uncertainty changes the
     parameters by `by_clock` (m,), and the priors of groups."""
     site, members = launches[0].provenance.site, [[launch[n] for n in names] for launch in launches]
     gravity = np.zeros(len(names))
@@ -213,7 +213,7 @@ def _shared_covariances(
             for name, each in prior_sensitivities(parameters, C, launch.evidence.budget).items()
         ]
         listed = {prior for prior, _ in changes}
-        for each in launch.evidence.budget:  # groups that are only in u, as with linear terms
+        for each in launch.evidence.budget:  # groups that are only in u, such as those with linear terms
             prior, _, group = each.name.partition(".")
             if prior == "prior" and beyond_linear(group) and each.name not in listed and is_device_property(group):
                 changes.append((each.name, np.diag([each.contributions.get(name, 0.0) ** 2 for name in names])))
@@ -238,22 +238,22 @@ def _mean_parameters(
     np.fill_diagonal(within, variances.sum(axis=0) / count**2)
     parameters = []
     for i, name in enumerate(names):
-        each = [launch[name] for launch in launches]
+        estimates = [launch[name] for launch in launches]
         parts = []
-        for p, C, variance in zip(each, covariances, variances, strict=True):
+        for p, C, variance in zip(estimates, covariances, variances, strict=True):
             dof = None if p.dof is None or C[i, i] == 0.0 else p.dof * float(variance[i] / C[i, i]) ** 2
             parts.append((float(variance[i]), dof))
         run_to_run = float(np.std(values[:, i], ddof=1))
         u, dof = degrees_of_mean(parts, run_to_run, float(np.sqrt(shared_mean[i, i])))
         covariance[i, i] = u**2
-        prior = max((p.prior for p in each if p.prior is not None), default=None)
+        prior = max((p.prior for p in estimates if p.prior is not None), default=None)
         parameters.append(
             Parameter(
                 name=name,
                 value=float(values[:, i].mean()),
                 u=float(np.sqrt(covariance[i, i])),
-                unit=each[0].unit,
-                deviation=_mean_where_known([p.deviation for p in each]),
+                unit=estimates[0].unit,
+                deviation=_mean_where_known([p.deviation for p in estimates]),
                 run_to_run=run_to_run,
                 dof=dof,
                 prior=prior,
@@ -268,8 +268,8 @@ def _mean_budget(
 ) -> UncertaintyBudget:
     """Return the budget of the mean by the sources of its launches.
 
-    Each source has the share of the variances `within` (m, m) that it has of the sum over the launches, and a prior
-    also its shared part. Its standard uncertainty is the root mean square over the launches."""
+    The share of a source in the variances `within` (m, m) is its share in the sum over the launches; a prior also has
+    its shared part. Its standard uncertainty is the root mean square over the launches."""
     by_name: dict[str, list[SourceContributions]] = {}
     for each in chain(*(launch.evidence.budget for launch in launches)):
         if each.name != "clock" and (each.name != "gravity" or not shared["gravity"].any()):
@@ -311,7 +311,7 @@ def joint_digest(digests: Iterable[str]) -> str:
 
 
 def joint_circumstances(circumstances: Sequence[Circumstances]) -> Circumstances:
-    """Return what is the same in all launches, all their equipment, and the date of the last."""
+    """Return the circumstances common to all launches, all their equipment, and the date of the last."""
     return Circumstances(
         date=max((one.date for one in circumstances if one.date is not None), default=None),
         operator=_common([one.operator for one in circumstances]),
@@ -335,8 +335,8 @@ def _mean_where_known(values: Sequence[float | None]) -> float | None:
 
 
 def _groups(launches: Sequence[Calibration], parameters: Sequence[Parameter]) -> tuple[GroupFinding, ...]:
-    """Return the findings on groups beyond the linear model; a group that not all launches have kept has learned
-    nothing."""
+    """Return the findings on groups beyond the linear model; the learned fraction is zero unless all launches kept the
+    group."""
     learned: dict[str, list[float]] = {}
     for parameter in parameters:
         if parameter.learned is not None:
@@ -349,7 +349,7 @@ def _groups(launches: Sequence[Calibration], parameters: Sequence[Parameter]) ->
 
 
 def _notes(runs: Sequence[LaunchRun], names: list[str]) -> Iterator[str]:
-    """Return the notes of the launches, each once with their names, and the groups that not all launches have."""
+    """Return the notes of the launches, each once with their names, and on groups missing in some launches."""
     launches_by_note: dict[str, list[str]] = {}
     for run in runs:
         for note in run.calibration.provenance.notes:

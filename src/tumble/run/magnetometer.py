@@ -26,13 +26,13 @@ from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array
 
 PARAMETER_NAMES = Block(kind="mag", axes=np.eye(3)).names
-MOST_NAMED = 6  # stretches of nodes left out that are listed
+MOST_NAMED = 6  # largest number of listed stretches of excluded nodes
 
 
 def with_magnetometer(
     calibration: Calibration, estimate: Estimate, spec: Channels, observations: Observations
 ) -> Calibration:
-    """Return a calibration with the parameters of the session's magnetometer, or a note why it has none."""
+    """Return a calibration with the parameters of the session's magnetometer, or with a note why it has none."""
     magnetometer, covariance = estimate.magnetometer, calibration.covariance
     if not isinstance(magnetometer, MagnetometerEstimate) or magnetometer.refused or covariance is None:
         why = magnetometer if isinstance(magnetometer, str) else magnetometer.refused if magnetometer else ""
@@ -113,7 +113,7 @@ def _notes(magnetometer: MagnetometerEstimate, observations: Observations, spec:
         )
     if len(nodes) > MOST_NAMED:
         yield f"magnetometer: {len(nodes) - MOST_NAMED} more such stretches were left out"
-    # columns whose order or signs are not those of the accelerometers; the latitude decides the sign of all
+    # order or signs of columns that differ from the accelerometers'; the latitude decides a common sign
     axes, latitude = magnetometer.magnetometer.block.axes, observations.site.latitude
     if np.array_equal(axes, np.eye(3)):
         return

@@ -1,8 +1,8 @@
-"""The one chain from a session to its observations, and the faults found on the way.
+"""Steps from a session to its observations, and the faults found in them.
 
     session → log → blocks → rests and turns → observations → (programme) → observations of its positions
 
-`inspect_session` takes every rest that was found, `observations_for_calibration` those of the session's programme.
+`inspect_session` returns all rests found, `observations_for_calibration` those of the session's programme.
 """
 
 from __future__ import annotations
@@ -46,20 +46,20 @@ from tumble.rotation import onto_body
 from tumble.units import DEGREE, IntArray
 
 Progress = Callable[[Log], Iterable[Chunk]]
-"""Function that yields the chunks of a log, for instance to show how far reading is."""
+"""Function that yields the chunks of a log, for instance to show the progress of reading."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Observed(Judged):
     """Rests, turns and faults of a session's log.
 
-    `digest` is the SHA-256 of its content, perhaps still being computed. `gaps` were bridged or left out;
-    `segmentation` has rests and turns, found and rejected, `observations` those found, None if nothing rests. `faults`
-    are sentences on the recording, `gyro_faults` on the gyros, `gyro_bias_faults` on their biases. `recorded` is the
-    date, ISO 8601, by the log's own times, `notes` are remarks on these.
+    `digest` is the future SHA-256 of its content. `gaps` were bridged or left out; `segmentation` has rests and turns,
+    found and rejected, `observations` those found, None if nothing rests. `faults` are sentences on the recording,
+    `gyro_faults` on the gyros, `gyro_bias_faults` on their biases. `recorded` is the date, ISO 8601, by the log's own
+    times, `notes` are remarks on these.
 
-    `trial` are the observations or, if no rest was found with the gyros, those of the rests that the accelerometers
-    alone show: with gyros in a wrong unit no turn is fast enough to be one."""
+    `trial` are the observations or, if no rest was found with the gyros, those of the rests found by the accelerometers
+    alone: with gyros in a wrong unit no turn is fast enough to be found."""
 
     json_fields: ClassVar = ("verdict", "reasons", "gyro", "rate", "segmentation", "observations")
 
@@ -103,8 +103,8 @@ class Observed(Judged):
         return self.reduction.rate
 
 
-REJECTED_RESTS_RATIO = 2  # of rests rejected by the gyros to rests found, above which the gyros are at fault
-LARGEST_SQUARED = 1e100  # SI: sums of products of larger numbers overflow
+REJECTED_RESTS_RATIO = 2  # rests rejected by the gyros per rest found, above which the gyros are faulty
+LARGEST_SQUARED = 1e100  # SI; sums of products of larger numbers overflow
 
 
 @checked
@@ -140,7 +140,7 @@ def inspect_session(
 
 
 def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tuning = USUAL) -> Observed:
-    """Inspect a session, with its log hashed by the executor `beside` meanwhile."""
+    """Inspect a session while the executor `beside` hashes its log."""
     log = open_log(session)
     reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log), tuning)
     digest = beside.submit(log.sha256)
@@ -205,10 +205,10 @@ def _observed(session: Session, reduction: Reduction, rests: tuple[Stretch, ...]
 
 
 def observations_for_calibration(observed: Observed, *, joint: bool = False) -> Observations | Outcome:
-    """Return the positions of a session's programme, or all its rests without one, or an Outcome that says why none.
+    """Return the positions of a session's programme (all rests without one), or an Outcome with the reason for none.
 
-    The method `joint` also takes the motion of a device with few rests, gyros whose biases jump, and the magnetometer.
-    Faulty gyros are left out. Raises ProgrammeError for a recording that does not go through the programme.
+    For the method `joint` these include the motion of a device with few rests, gyros whose biases jump, and the
+    magnetometer. Faulty gyros are left out. Raises ProgrammeError for a recording that does not follow the programme.
     """
     if joint and (moving := _in_motion(observed)) is not None:
         return moving
@@ -225,16 +225,16 @@ def observations_for_calibration(observed: Observed, *, joint: bool = False) -> 
 
 
 FEWEST_RESTS = 9  # below this number rests alone do not determine accelerometers
-SHORTEST_MOTION = 20.0  # s: a shorter motion determines nothing
-TREMOR = 0.07 * DEGREE  # rad/s rms about an axis over tenths of a second; a hand that holds a device trembles by more
+SHORTEST_MOTION = 20.0  # s; a shorter motion determines nothing
+TREMOR = 0.07 * DEGREE  # rad/s rms about an axis over tenths of a second; a hand trembles by more
 
 
 def _in_motion(observed: Observed) -> Observations | None:
-    """Return the observations, from node to node, of a recording with few rests or none; None for others.
+    """Return the observations from node to node of a recording with few or no rests; None for other recordings.
 
-    A device that was shaken where it lay has rests: neither a few harmonics nor a smooth process follow shaking from
-    node to node, least of all if it is aliased. Pauses in the hand are no rests: the device has a velocity, and nodes
-    describe better that it stays where it is."""
+    A device that was shaken in place is described by rests: neither a few harmonics nor a smooth process can follow
+    shaking from node to node, especially if it is aliased. Pauses in the hand are no rests: the device has a velocity,
+    and nodes describe its constant place better."""
     session, segmentation = observed.session, observed.segmentation
     faulty = observed.faults or observed.gyro_faults or observed.gyro_bias_faults
     n_rests = len(segmentation.rests) + len(segmentation.shaken)
@@ -280,8 +280,8 @@ def _observed_again(
 
 
 def _matched(observed: Observed) -> tuple[Reduction, Segmentation, tuple[str, ...]] | Outcome:
-    """Return the reduction without excluded turns, the rests of a session's programme, or all, and notes on turns that
-    were not recorded as a whole."""
+    """Return the reduction without excluded turns, the rests of a session's programme (without one, all rests), and
+    notes on incomplete turns."""
     session = observed.session
     if observed.faults:
         return Outcome(reasons=observed.faults)

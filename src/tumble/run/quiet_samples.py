@@ -22,7 +22,7 @@ from tumble.run.observed import Progress, inspect_session
 from tumble.units import DEGREE, G_STANDARD, Array
 
 _MARGIN = 1e-9  # s, of the ends of a rest
-PARTS = 100  # of a record, whose verticals are compared
+PARTS = 100  # parts of a record whose verticals are compared
 LARGEST_TILT = 10.0 * DEGREE  # rad, between the verticals of a record at rest
 
 
@@ -41,8 +41,8 @@ class QuietRecord:
 class RecordedNoise(Brief):
     """Allan deviations and noise coefficients of accelerometers and gyros.
 
-    `rate` is the sample rate, Hz, `source` says in words where the samples are from, and `doubt` what is not certain
-    about the log."""
+    `rate` is the sample rate, Hz, `source` the origin of the samples in words, and `doubt` an uncertainty about the
+    log."""
 
     json_fields: ClassVar = ("source", "rate", "panels", "doubt")
 
@@ -59,7 +59,7 @@ def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None =
     Parameters
     ----------
     *recordings
-        Sessions, or the paths of their folders, whose longest rests are taken; or, with `layout`, logs of a device at
+        Sessions, or the paths of their folders, whose longest rests are used; or, with `layout`, logs of a device at
         rest. Several recordings of one device are evaluated together.
     layout
         Table [log] of session.toml, less the file.
@@ -99,7 +99,7 @@ def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None =
 
 
 def _turned(record: QuietRecord) -> str:
-    """Say that the device was turned during a record; empty if it lay still."""
+    """Return a sentence if the device was turned during a record; empty if it lay still."""
     if record.accel.shape[1] != 3:
         return ""
     means = np.array([part.mean(axis=0) for part in np.array_split(record.accel, min(PARTS, len(record.accel)))])
@@ -117,7 +117,7 @@ def _turned(record: QuietRecord) -> str:
 
 
 def noise_panels(records: Sequence[QuietRecord]) -> tuple[Panel, ...]:
-    """Return Allan deviation and noise coefficients of accelerometers and gyros, by all records together."""
+    """Return Allan deviation and noise coefficients of accelerometers and gyros from all records together."""
     panels, log = [], records[0].session.log
     for title, unit, kind, channels in (
         ("accelerometers", "m/s^2", "accel", log.accel),

@@ -1,10 +1,10 @@
 """Tables of readings, such as averaged voltages with one row per position.
 
 READINGS.csv has a header with the names of three columns, one per accelerometer, and a row of three numbers per
-position; from a wider table, such as a log, the three columns named as accelerometers are taken. The nominal scale
+position; in a wider table, such as a log, the three columns named as accelerometers are used. The nominal scale
 converts readings to SI; its sign is the polarity of the channel.
 
-The ellipsoid does not show polarity: y and −y of a channel lie equally well on it. Polarity comes from the nominal
+The ellipsoid does not determine polarity: y and −y of a channel fit it equally well. Polarity comes from the nominal
 scale, or from positions in which the direction of up is roughly known.
 
 A position is a block of N rows, N = 1 unless stated. Its reading is the mean; the covariance of a mean comes from the
@@ -37,14 +37,14 @@ from tumble.sensors.model import Block
 from tumble.units import ACCEL_UNITS, G_STANDARD, Array, IntArray
 from tumble.usual_setup import MOVE, ON_TABLE
 
-POLARITY_COMPONENT = 0.3  # of up along a channel, from which on a position shows its polarity
+POLARITY_COMPONENT = 0.3  # least component of up along a channel for a position that determines its polarity
 EARTH_GRAVITY = (9.7, 9.9)  # m/s², range on Earth
 LARGEST_GRAVITY_U = 0.1  # m/s², more than gravity varies on Earth
-LARGEST = 1e30  # of a reading, whose powers would leave the range of floats
+LARGEST = 1e30  # of a reading; powers of larger numbers overflow
 COPIES_SHOWN = 3
 RAW = ("V", "count")
 UNITS = {name: ACCEL_UNITS[name].factor for name in ("g", "m/s^2")}
-"""Units of a reading, and of what a scale is per, and their sizes in m/s²."""
+"""Units of a reading, and of the input in a scale, with their sizes in m/s²."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -52,7 +52,7 @@ class ReadingsTable:
     """A table of readings (N, 3) as written, with their `lines` in the file and the `steps` (3,) of the last digits.
 
     If positions have several `rows`, values are their means and lines those of the first rows; `covariance` (3, 3) is
-    that of a mean by the scatter within positions, with its `degrees` of freedom. `left_out` are notes on copies."""
+    that of a mean from the scatter within positions, with its `degrees` of freedom. `left_out` are notes on copies."""
 
     path: Path
     columns: tuple[str, ...]
@@ -129,7 +129,7 @@ def _parsed(path: Path, text: str) -> ReadingsTable:
                 place = f"{path}: line {line}, column {column!r}"
                 raise InputError(f"{place}: expected a number, found {value}; correct the row")
     numbers = [[cell.strip().lower().partition("e") for cell in row] for _, row in rows[1:]]
-    # power of ten of the last digit of each: −3 of 1.250, 2 of 1.25e4
+    # power of ten of the last digit of each: −3 for 1.250, 2 for 1.25e4
     last_digits = [[int(power or 0) - len(digits.partition(".")[2]) for digits, _, power in row] for row in numbers]
     return ReadingsTable(
         path=path,
@@ -137,7 +137,7 @@ def _parsed(path: Path, text: str) -> ReadingsTable:
         values=np.array([[float(cell) for cell in row] for _, row in rows[1:]]),
         lines=tuple(line for line, _ in rows[1:]),
         sha256=hashlib.sha256(text.encode()).hexdigest(),
-        steps=10.0 ** np.minimum(0, np.min(last_digits, axis=0)),  # 1 of whole numbers
+        steps=10.0 ** np.minimum(0, np.min(last_digits, axis=0)),  # 1 for whole numbers
     )
 
 
@@ -218,9 +218,9 @@ def table_rests(readings: Array, covariance: Array, block: Block, site: Site) ->
 class Nominal:
     """Unit and nominal scale of the readings of a table, and gravity.
 
-    `per` is the unit that a raw scale is per, else the unit itself. `scale` (3,) is the output per m/s², signed by
+    `per` is the unit of the input in a raw scale, else the unit itself. `scale` (3,) is the output per m/s², signed by
     polarity. `gravity_u` is None if gravity at the place is the unit. `estimated`: the scale was taken from the
-    readings. `assumed`: columns whose polarity nothing states."""
+    readings. `assumed`: columns with an assumed polarity."""
 
     unit: str
     per: str
@@ -250,7 +250,7 @@ def nominal_of(
     gravity_u: float | None,
     directions: Mapping[int, Array],
 ) -> Nominal:
-    """Return unit, scale and gravity by the arguments of `calibrate_readings`.
+    """Return unit, scale and gravity from the arguments of `calibrate_readings`.
 
     Raises InputError if these contradict each other or the table."""
     if unit not in (*RAW, *UNITS):
@@ -306,8 +306,8 @@ def fitted_outputs(values: Array, length: float) -> Array | None:
 def _polarity(
     table: ReadingsTable, sizes: Array, directions: Mapping[int, Array], *, free: bool
 ) -> tuple[Array, IntArray]:
-    """Return the signs (3,) of the channels by roughly known directions of up, and the number of the position that
-    shows each, 0 for none. Unless `free`, they must be those of the scale."""
+    """Return the signs (3,) of the channels from rough directions of up, and the position that determines each, 0 for
+    none. Unless `free`, they must be those of the scale."""
     read = rough_directions(table.values / sizes)
     signs, shown_by = np.ones(3), np.zeros(3, dtype=int)
     for position, direction in directions.items():

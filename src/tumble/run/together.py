@@ -1,8 +1,8 @@
 """Several sessions of one device over temperature as one estimate.
 
 Parameters and their temperature coefficients are common to all sessions. Each session has its own attitudes, and its
-own changes of the biases from launch to launch and drifts, both with priors. A session without turns shows only how the
-biases change with its temperature.
+own changes of the biases from launch to launch and drifts, both with priors. A session without turns determines only
+the changes of the biases with its temperature.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def calibrate_together(
         if each.rests.temperature is None:
             raise InputError(f"{session.name}: expected temperatures in the log, found none that are numbers")
     joint_observations = join_sessions(observations, [member.session for member in members], numbers)
-    # the errors of all clocks are taken as one, with the largest u of the sessions with turns
+    # all clocks have one common error, with the largest u of the sessions with turns
     turned = [session.log for session, member in zip(described, members, strict=True) if member.turns]
     clock = max(turned or [session.log for session in described], key=lambda log: log.time_base_u)
     first = replace(first, log=replace(first.log, clock_u=clock.clock_u))
@@ -118,10 +118,10 @@ def calibrate_together(
     estimate = estimate_observations(first, joint_observations, joint, systematic, "full")
     if isinstance(estimate, Outcome):
         return refused_calibration(first, "joint", estimate, provenance)
-    calibration, own = build_calibration(first, *estimate, systematic, frame, provenance), estimate[0].own
-    if own is not None:
-        by_session = zip(own.values.tolist(), own.u.tolist(), strict=True)
-        named = list(zip(own.names, own.units, own.priors.tolist(), strict=True))
+    calibration, session_only = build_calibration(first, *estimate, systematic, frame, provenance), estimate[0].own
+    if session_only is not None:
+        by_session = zip(session_only.values.tolist(), session_only.u.tolist(), strict=True)
+        named = list(zip(session_only.names, session_only.units, session_only.priors.tolist(), strict=True))
         members = [
             replace(
                 member,

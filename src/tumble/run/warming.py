@@ -25,7 +25,7 @@ the angle from the vertical is known, if the latitude is.
 
     b(T) = b_A + Σ_k b_k (T − T_A)^k                                                                                (3)
 
-which are independent of θ_A except through (2): the change of the biases since then is in c_p alone. If T_A is not
+which are independent of θ_A except through (2): the change of the biases since then is only in c_p. If T_A is not
 known it may be any recorded temperature, and the change of (3) over these is in u(b_A).
 """
 
@@ -84,9 +84,9 @@ from tumble.sensors.parameters import (
 )
 from tumble.units import ZERO_CELSIUS, Array
 
-PARTS = 40  # of a rest: shorter parts show its in-run process and the lag no better
-LEAST_CHANGE = 1.0  # K, of the temperature in a recording that shows coefficients
-HELD = 1e-7  # prior of scale factors and axis angles without a calibration: slopes are not known to as many digits
+PARTS = 40  # of a rest; shorter parts do not improve the in-run process and the lag
+LEAST_CHANGE = 1.0  # K, least change of temperature that determines coefficients
+HELD = 1e-7  # prior of scale factors and axis angles without a calibration, much smaller than relative errors of slopes
 FEWEST_DEGREES = 4.0  # degrees of freedom of the variance that a lag adds
 CREEP = 1e-6  # rad/√s, random walk of the attitude of a device on a table, 12″ in an hour
 
@@ -146,9 +146,9 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
 
 
 def _at_rest(observed: Observed) -> Observed:
-    """Take the rests that the accelerometers show if the gyros are steady from second to second in each.
+    """Use the rests found by the accelerometers if the gyros are steady from second to second in each.
 
-    The gyros of a device that warms fast leave the level that they have at rest."""
+    The gyros of a device that warms fast drift away from their level at rest."""
     rests = find_rests(observed.reduction, observed.session.accel_block, None).rests
     files, limit = observed.reduction.by_file, observed.segmentation.rate_limit
     second = max(1, round(1.0 / observed.reduction.block_seconds))
@@ -252,7 +252,7 @@ def _nominal(session: Session, estimate: Estimate, observations: Observations) -
 def _with_coefficients(
     base: Calibration, estimate: Estimate, observations: Observations, session: Session
 ) -> Calibration:
-    """Return a calibration with these coefficients in place of any that it has, Eq. (2) and (3)."""
+    """Return a calibration with its temperature coefficients replaced by these, Eq. (2) and (3)."""
     assert estimate.budget is not None
     assert base.covariance is not None
     new = [n for n in estimate.names if beyond_linear(n) and getattr(base, sensor_kind(n)) is not None]

@@ -1,8 +1,8 @@
 """Correction of a recorded log with a calibration, sample by sample.
 
 Each row is corrected by `tumble.use.corrector` at its temperature. No rows are added, gaps are not bridged, and numbers
-that are not finite stay so. A column gets the reading d · true of a perfect sensor along its nominal axis d, in SI, or
-in the log's unit if the names of the columns state it, as in "ax [g]". A redundant block is solved by least squares,
+that are not finite remain so. A column gets the reading d · true of a perfect sensor along its nominal axis d, in SI,
+or in the log's unit if the names of the columns state it, as in "ax [g]". A redundant block is solved by least squares,
 and its vector is added in the columns accel_x, accel_y, accel_z and gyro_x, gyro_y, gyro_z, in SI.
 
 Increments stay increments: an integral over an interval T is corrected by bias · T. T is the step in time without
@@ -61,7 +61,7 @@ def apply_to_session(
         An accepted calibration of the device, or its file. If only its accelerometers or its gyros are accepted, the
         columns of the others are copied.
     session
-        The session, or its folder. The files of a log are written one below the other.
+        The session, or its folder. Several files of a log are concatenated.
     out
         File to write, .csv or .parquet. It is written whole or not at all.
     force
@@ -104,7 +104,7 @@ def apply_to_session(
 
 
 def correction_notes(calibration: Calibration | FilePath, session: Session | FilePath) -> tuple[str, ...]:
-    """Return sentences on the groups beyond the linear model that `apply_to_session` applies and does not apply."""
+    """Return sentences on which groups beyond the linear model `apply_to_session` applies, and which it does not."""
     calibration, session = accepted_part(calibration_from(calibration)), session_from(session)
     compensator = calibration.compensator
     groups_here = positions_by_group(p.name for p in calibration.parameters)
@@ -234,7 +234,7 @@ def _corrected_vectors(
 ) -> Iterator[tuple[pl.DataFrame, dict[str, Array]]]:
     """Return tables of one file with the true vectors (N, 3) of their rows, or their increments, by kind of sensor.
 
-    If the stream has a delay, a table comes after the next one is read."""
+    If the stream has a delay, each table is returned after the next one is read."""
     layout, increments = session.log, {kind for kind, channels in inputs.items() if channels.unit.kind == "increment"}
     irregular = layout.time is not None and not layout.regular and (stream.moved or bool(increments))
     warm = compensator.warm and bool(compensator.references)

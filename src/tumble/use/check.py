@@ -6,14 +6,14 @@ At the time of the check the parameters have the values of the calibration and t
 
 Σ is the covariance of the calibration, estimated with ν degrees of freedom for each parameter, and D the uncertainty of
 P (`tumble.methods.field_check`, Eq. (3)). s² is the variance of the changes from one power-on to the next. It is 2 s_g²
-with 1/ν_s = 0, where s_g is the usual standard deviation for the grade: a single launch is as far from the mean of all
-launches as the launch that is checked. If several launches of the device are known, with the pooled variance s_L² of
+with 1/ν_s = 0, where s_g is the usual standard deviation for the grade: the calibrated launch and the checked launch
+both differ from the mean of all launches. If several launches of the device are known, with the pooled variance s_L² of
 ν_L degrees of freedom, s_g² is replaced by
 
     s² = max(s_L², [4 s_g² + ν_L s_L²]/(ν_L + 4)),   ν_s = ν_L or ν_L + 4                                         (2)
 
-so that s_g² counts as an estimate with four degrees of freedom: two launches that happen to agree do not predict that
-the third will. If the calibration is the mean of several launches, the factor two is absent.
+so that s_g² counts as an estimate with four degrees of freedom, because two launches may agree by chance. If the
+calibration is the mean of several launches, the factor two is absent.
 
 Groups of parameters that the calibration does not have, and drifts, which belong to a session, are zero with the usual
 standard deviation for the grade. If the temperatures of calibration and check are known, the parameters are converted
@@ -70,7 +70,7 @@ from tumble.use.positions import PositionResiduals, position_residuals, table_ob
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 
 GRADE_DEGREES = 4.0
-"""Degrees of freedom of the variances usual for a grade, which are known to a third."""
+"""Degrees of freedom of the variances usual for a grade: their standard deviations are uncertain by a third."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -78,9 +78,9 @@ class CheckedRest:
     """A rest, or a position of a table, compared with gravity.
 
     `difference` is gravity less the modulus of the corrected reading, m/s², `u` its standard uncertainty and `sigmas`
-    their ratio; both are None where nothing predicts the rest. In a stream the calibration and the rests before predict
-    it; `outside` names which of "temperature" and "force" are outside the calibrated range, `judged` are the tests of
-    the biases by this rest, and `why` is the reason if a quiet stretch is not used as a rest."""
+    their ratio; both are None where nothing predicts the rest. In a stream the prediction uses the calibration and the
+    earlier rests, `outside` names which of "temperature" and "force" are outside the calibrated range, `judged` are the
+    tests of the biases by this rest, and `why` is the reason if a quiet stretch is not used as a rest."""
 
     label: str
     difference: float
@@ -102,7 +102,7 @@ class FieldCheck(Judged):
     one of 100 cases. `turns` is the number of turns used. `parameters` are the tests of the parameters that rests and
     turns determine, with the `largest` |change|/u and its `limit`; they are empty if the comparison with gravity alone
     decides. `changes` are the parameters that have changed, `unseen` the groups that are not determined, `misfit` the
-    residuals that no change explains; `rests_agree` if there are none without the turns. `notes` are assumptions."""
+    residuals that no change explains; `rests_agree`: the rests alone show no change. `notes` are assumptions."""
 
     json_fields: ClassVar = (
         "verdict", "reasons", "source", "rests", "rest_limit", "turns", "changes", "parameters", "largest",
@@ -193,8 +193,8 @@ def check_calibration(
         readings at rest, one row per position, in the unit of the table that the calibration was made from. The
         session or table of the calibration itself is refused.
     launches
-        Launches behind other calibrations of the device, which show how much it changes from one power-on to the next.
-        By default as is usual for its grade.
+        Launches of other calibrations of the device, from which its change between power-ons is estimated. By default
+        the usual change for its grade.
 
     Returns
     -------
@@ -314,7 +314,7 @@ def check_session(calibration: Calibration, session: Session) -> None:
 
 
 def _launches(calibration: Calibration, further: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:
-    """Return the launches behind a calibration and behind others of its device, each once."""
+    """Return the launches of a calibration and of others of its device, each once."""
     behind = launch_variances(calibration)
     return further if behind is None else (behind, *(each for each in further if not each.logs & behind.logs))
 
@@ -329,10 +329,10 @@ def prior_at_check(
     data_sheet: Mapping[str, float],
     launches: Sequence[LaunchVariances] = (),
 ) -> CheckPrior:
-    """Return the prior of the parameters at the check, Eq. (1), by a calibration in the frame `accelerometer`.
+    """Return the prior of the parameters at the check, Eq. (1), from a calibration in the frame `accelerometer`.
 
-    The data sheet has standard deviations by group, SI, in place of those of the grade; `launches` are those behind
-    other calibrations of the device."""
+    The data sheet has standard deviations by group, SI, which replace those of the grade; `launches` are those of other
+    calibrations of the device."""
     sizes = usual_sizes(grade, data_sheet)
     instrument = Instrument.of(
         observations.accel_block, observations.gyro_block, set(sizes), variables_of(observations)

@@ -10,8 +10,8 @@ gravity, of the time base, or of a prior (`tumble.result.shared_errors`). All m 
 largest |E_n| of m as large with a probability of at least CHANCE (Bonferroni's inequality, Student's t).
 
 All m together, correlations included, are tested with χ² = dᵀ C⁻¹ d, C = C₁ + C₂ − Σ (g₁g₂ᵀ + g₂g₁ᵀ), without
-parameters that neither calibration has learned. If uncertainties were estimated, with ν the fewest degrees of freedom,
-χ²/m has the F distribution with m and ν degrees of freedom (Hotelling).
+parameters that are known only by their priors in both calibrations. If uncertainties were estimated, with ν the fewest
+degrees of freedom, χ²/m has the F distribution with m and ν degrees of freedom (Hotelling).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ LEAST_PROBABILITY = 1e-3
 class Difference:
     """A parameter in both calibrations, SI, with the standard uncertainty `u` of the difference.
 
-    Shared errors are not in u. It is None if one of the two has no uncertainty, and zero if both have no more than the
+    Shared errors are not in u. It is None if one of the two has no uncertainty, and zero if both are known only by the
     prior. `dof` are its degrees of freedom, None if infinite."""
 
     json_fields: ClassVar[tuple[str, ...]] = ("name", "unit", "first", "second", "value", "u", "dof", "e_n")
@@ -119,7 +119,7 @@ class Comparison(Judged):
 
     @property
     def agree(self) -> bool:
-        """Whether there are E_n numbers, and neither the largest of them nor χ² is beyond chance."""
+        """Whether there are E_n numbers, and chance explains the largest of them and χ²."""
         return self.largest_by_chance is not None and not self.changed and not self.contradicts
 
     @property
@@ -135,13 +135,13 @@ class Comparison(Judged):
 
     @property
     def changed(self) -> list[str]:
-        """The parameters whose difference is beyond chance by itself."""
+        """The parameters whose difference chance does not explain."""
         judged = [d for d in self.differences if d.by_chance is not None]
         return [d.name for d in judged if len(judged) * (d.by_chance or 0.0) < CHANCE]
 
     @property
     def contradicts(self) -> bool:
-        """Whether χ² of all parameters is beyond chance."""
+        """Whether chance does not explain χ² of all parameters."""
         return self.probability is not None and self.probability < LEAST_PROBABILITY
 
 
@@ -152,8 +152,8 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
     Parameters
     ----------
     first, second
-        Calibrations or their files. The second is converted to the frame of the first if they differ. Nothing can be
-        converted to the frame of the case; if the first is in it, the first is converted.
+        Calibrations or their files. The second is converted to the frame of the first if they differ; if the first is
+        in the frame of the case, to which there is no conversion, the first is converted.
 
     Returns
     -------

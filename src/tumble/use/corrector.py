@@ -30,10 +30,10 @@ from tumble.sensors.model import Block
 from tumble.units import G_STANDARD, ZERO_CELSIUS, Array, BoolArray
 
 LONGEST_STEP = 3.5
-"""Largest distance of the neighbours of a sample, in intervals, from which its angular acceleration is taken."""
+"""Largest distance, in intervals, of the neighbours from which the angular acceleration of a sample is computed."""
 CLOCK_RESTART = 1.0
-"""s. A stamp that is earlier than the last one by more shows that the clock has restarted; a sample that is less late
-is dropped."""
+"""s. If a stamp is earlier than the last one by more, the clock has restarted; a sample that is less late is
+dropped."""
 MARGIN = 0.1
 """Relative margin of the calibrated rate and force, for noise and vibration."""
 _ROWS = 1 << 12
@@ -90,7 +90,7 @@ class Stream:
     """Correction of the rows of one stream with sampling `interval`, s, and the sensors `blocks`.
 
     `thermometers` is the number of thermometers, which read `zero` at 0 °C. Without `gyros` no rates are corrected.
-    Samples outside the `ranges` are flagged. `latest` is CLOCK_RESTART, or 0 for stamps that are in order."""
+    Samples outside the `ranges` are flagged. `latest` is CLOCK_RESTART, or 0 for ordered stamps."""
 
     def __init__(
         self,
@@ -111,7 +111,7 @@ class Stream:
         )
         lags = [compensator.lags.get(kind, 0.0) for kind in ("accel", "gyro")[: 1 + self.gyros]]
         lags = list(dict.fromkeys(lags)) if compensator.warm else [0.0]
-        if len(lags) > 1:  # followers of each thermometer for accelerometers, and then for gyros
+        if len(lags) > 1:  # each thermometer with the lag of accelerometers, then with that of gyros
             gyro_thermometers = thermometers + gyro_thermometers
         self.moved = self.gyros and bool(np.any(compensator.levers))
         self.delay = int(self.moved)
@@ -140,7 +140,7 @@ class Stream:
         self.reset()
 
     def reset(self) -> None:
-        """Begin another stream; the count of dropped samples is kept."""
+        """Begin another stream, but keep the count of dropped samples."""
         self._held = 0
         _, warmth, clock, _ = self._state
         warmth[:, 0], warmth[:, 1], clock[:2] = self._start, nan, (-inf, 0.0)
@@ -151,7 +151,7 @@ class Stream:
         return int(self._state[2][2])
 
     def add(self, accel: Array, gyro: Array | None, time: Array | None, celsius: Array | None) -> Corrected:
-        """Add readings (N, n) and (N, m), SI, and return the samples that are corrected with them.
+        """Add readings (N, n) and (N, m), SI, and return the samples whose correction they complete.
 
         Stamps (N,) are by default those of a regular clock; temperatures (N, T) are NaN where they are lost."""
         count = len(accel)
@@ -174,7 +174,7 @@ class Stream:
         return self._corrected(ready)
 
     def finish(self) -> Corrected:
-        """Return the last sample if it waits for the next; another stream begins."""
+        """Return the last sample if it is still pending, and begin another stream."""
         ready = self._advance(self._nothing, 0, last=True)
         self.reset()
         return self._corrected(ready)
@@ -202,7 +202,7 @@ class Stream:
 
 
 class Corrector:
-    """Correction of the readings of a device as they come, with the whole model of its calibration.
+    """Correction of the readings of a device as they arrive, with the whole model of its calibration.
 
     For any division of the stream into blocks the results are those of `apply_to_session` for the whole log.
 
@@ -289,7 +289,7 @@ class Corrector:
         time: npt.ArrayLike | None = None,
         temperature: npt.ArrayLike | None = None,
     ) -> Corrected:
-        """Add one sample, (n,), or a block, (N, n), and return the samples that are corrected with it.
+        """Add one sample, (n,), or a block, (N, n), and return the samples whose correction it completes.
 
         Parameters
         ----------
@@ -300,7 +300,7 @@ class Corrector:
             Stamps, s, one for each sample. By default those of a regular clock.
         temperature
             Temperature, K, one for each sample, or those of several thermometers (T,) or (N, T) in the order of the
-            calibration's `thermometers`. Where it is absent or NaN the last known one is used, or else the reference.
+            calibration's `thermometers`. If it is absent or NaN, the last known one is used, else the reference.
 
         Returns
         -------
@@ -334,7 +334,7 @@ class Corrector:
         return self._without_absent(corrected)
 
     def finish(self) -> Corrected:
-        """Return the last sample if it waits for the next, with ω̇ from the one before; another stream begins."""
+        """Return the last sample if it is still pending, with ω̇ from the previous one, and begin another stream."""
         return self._without_absent(self._stream.finish())
 
     def _without_absent(self, corrected: Corrected) -> Corrected:

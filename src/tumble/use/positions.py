@@ -4,7 +4,7 @@ In every position, with true = matrix⁻¹ (reading − bias), Eq. (21) of the e
 
     Δg = g − |true|                                                                                              (1)
 
-In positions that took no part in the calibration Δg has the variance
+In positions that were not used for the calibration Δg has the variance
 
     u² = variance of the rest + scatter between rests + J Σ Jᵀ + u(g)²,   J = ∂|true|/∂θ                         (2)
 
@@ -13,8 +13,8 @@ the calibration was made with the same stated gravity, the error of this gravity
 in Δg: u(g)² is then subtracted instead of added.
 
 The largest |Δg|/u of N positions is compared with the quantile that chance exceeds with the probability CHANCE, by
-Bonferroni's inequality over the positions; of Student's t distribution if the scatter was estimated. u does not contain
-changes from one power-on to the next; `tumble.use.check` tests the parameters with these.
+Bonferroni's inequality over the positions; the distribution is Student's t if the scatter was estimated. u does not
+contain changes from one power-on to the next, which `tumble.use.check` includes.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from tumble.units import ZERO_CELSIUS, Array
 CHANCE = 0.01
 """Probability that the largest difference refutes a good calibration."""
 _OVER_TEMPERATURE: dict[Variable, int] = {variable: power for power, variable in enumerate(THERMAL, 1)}
-"""Powers of temperature by the variable that has them."""
+"""Powers of temperature by name of the variable."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -61,7 +61,7 @@ class PositionResiduals:
 def table_observations(calibration: Calibration, path: Path) -> tuple[Observations, ReadingsTable]:
     """Read a table of readings and return its rows as rests.
 
-    Unit, scale and gravity are those of the calibration, the noise that of its rests or of a row of its own table.
+    Unit, scale and gravity are those of the calibration; the noise is that of its rests or of a row of its table.
     Raises InputError for a table that cannot be read, and CalibrationError for a calibration that does not state the
     unit of a reading or its uncertainty."""
     table, meaning = read_table(path), calibration.provenance.readings.get("accel")
@@ -92,7 +92,7 @@ def _accelerometer_fit(calibration: Calibration) -> Fit:
 
 
 def position_residuals(calibration: Calibration, observations: Observations, sha256: str) -> PositionResiduals:
-    """Return the differences from gravity, Eq. (1) and (2), in check positions whose log or table has this SHA-256.
+    """Return the differences from gravity, Eq. (1) and (2), in check positions; `sha256` is that of their log or table.
 
     Raises CalibrationError for a calibration without all parameters of its accelerometers, and InputError for positions
     of other sensors or from which the calibration was made."""

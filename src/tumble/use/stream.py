@@ -1,9 +1,9 @@
-"""Check of a calibration while its device is used: every rest of a flight or a day, as it ends.
+"""Check of a calibration while its device is in use: each rest is tested when it ends.
 
 The readings are reduced to rests by `RestStream`, at the temperatures of the sensors, which follow their thermometers
 with the lag of the calibration (`Stream`). Each rest, of unknown attitude, is tested against the calibration and the
-rests before it (`tumble.methods.rest_chain`). Where nothing rests, as in flight, movement is mistaken for noise: a
-stretch that is noisier than MOVEMENT_NOISE_RATIO times the rests of the calibration is not used.
+rests before it (`tumble.methods.rest_chain`). Steady movement, as in flight, can look like a noisy rest: a stretch with
+more noise than MOVEMENT_NOISE_RATIO times that of the calibration's rests is not used.
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ class StreamCheck:
         return [self._checked(rest) for rest in self._finder.finish()]
 
     def _checked(self, observations: Observations) -> CheckedRest:
-        """Test the only rest of the observations against the calibration and the rests before."""
+        """Test the only rest of the observations against the calibration and the earlier rests."""
         rests, block = observations.rests, observations.accel_block
         start, stop = float(rests.start[0]), float(rests.stop[0])
         kelvin = rests.temperatures

@@ -1,6 +1,6 @@
 """Blocks: sentences, tables, figures and matrices, from which every kind of output is made.
 
-A sentence is a block as it is. Blocks hold plain text and SVG pictures, never markup, because their content may come
+A sentence is itself a block. Blocks hold plain text and SVG pictures, never markup, because their content may come
 from files. A missing number is an empty cell and a minus a hyphen; pages of HTML and PDF show a dash and a real minus.
 """
 
@@ -42,7 +42,7 @@ class Facts:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Table:
-    """Rows of cells, named by their first column. The columns in `text` are words, aligned left; all others are
+    """Rows of cells, named by their first column. The columns in `text` have words, aligned left; all others have
     numbers, aligned right and never broken. A long table may be set on a page in `halves` beside each other."""
 
     columns: tuple[str, ...]

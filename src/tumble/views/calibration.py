@@ -60,7 +60,7 @@ MEANING_OF_INCREMENTS = (
 
 
 def _over_temperature(calibration: Calibration) -> list[Block]:
-    """State the number of temperature coefficients, which only the complete table shows."""
+    """State the number of temperature coefficients, which are only in the complete table."""
     count = sum(p.name[-3:-1] == ".t" for p in calibration.parameters)
     measured = calibration.temperature_range
     if not count or measured is None:
@@ -93,8 +93,8 @@ def calibration_blocks(
         Calibrations of the same sessions by other methods.
     every
         Show all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, all remarks and
-        notes. Otherwise show the accepted linear parameters, a group a row unless compared values are beside them, a
-        line on launches, iterations and other methods, and at most MAX_REMARKS remarks, on MAX_LINES lines.
+        notes. Otherwise show the accepted linear parameters, one group per row unless values are compared, a line on
+        launches, iterations and other methods, and at most MAX_REMARKS remarks, on MAX_LINES lines.
     budget
         Show the uncertainty budget.
     file, session
@@ -183,11 +183,11 @@ MAX_LINES, WIDTH, MAX_REMARKS = 24, 100, 3  # lines, characters of a line, remar
 
 def remarks_of(calibration: Calibration) -> tuple[str, ...]:
     """Return remarks that call for action, the most harmful first: doubts about the log, unexplained residuals, other
-    assumptions on log and place, and what priors decide."""
+    assumptions on log and place, and biases decided by priors."""
     decided, assumed = decided_by_priors(calibration), calibration.provenance.assumptions
     doubts = [sentence for sentence in assumed if sentence.startswith("doubt")]
     others = [sentence for sentence in assumed if sentence not in doubts]
-    if not accepted_kinds(calibration):  # only the reading of the log may be the cause
+    if not accepted_kinds(calibration):  # only a misread log may be the cause
         others = []
     return (*doubts, *calibration.outcome.remarks, *others, *([decided] if decided is not None else []))
 
@@ -221,8 +221,8 @@ def parameter_table(
     *,
     whole: bool = False,
 ) -> Table:
-    """Return parameters with u; if any, with coverage factors other than 2 and U, deviations from the systematic values
-    and between launches; with `truth` also true values and (value − truth)/u.
+    """Return a table of parameters with u and, if any, coverage factors other than 2 with U, deviations from the
+    systematic values and between launches; with `truth` also true values and (value − truth)/u.
 
     With `whole` it has U, degrees of freedom, priors and learned fractions."""
     several, factors = bool(calibration.evidence.launches), has_other_factors(parameters)
@@ -268,8 +268,8 @@ _PER_ROW = 3  # parameters
 
 
 def group_table(calibration: Calibration, *, on_page: bool = False) -> Table:
-    """Return a line for each group beyond the linear model: largest |value| with u, learned fraction, widening of its
-    prior; `on_page` also its meaning and prior."""
+    """Return a table with a row for each group beyond the linear model: largest |value| with u, learned fraction,
+    widening of its prior; `on_page` also its meaning and prior."""
     rows = []
     for line in group_lines(calibration):
         largest = line.largest
@@ -284,8 +284,8 @@ def group_table(calibration: Calibration, *, on_page: bool = False) -> Table:
 
 
 def unknown_blocks(calibration: Calibration) -> list[Block]:
-    """Return every hyperparameter with its middle 68 % and usual value, the quality of the integration over them, and
-    the biases to be expected next; empty if none was estimated."""
+    """Return every hyperparameter with its central 68 % interval and usual value, the quality of the integration over
+    them, and the predicted in-run biases; empty if none was estimated."""
     if not calibration.evidence.hyperparameters:
         return []
     rows = []
@@ -313,8 +313,8 @@ def launch_table(
     calibration: Calibration, parameters: Sequence[Parameter], *, deviations: bool = False, on_page: bool = False
 ) -> Table:
     """Return the values of every launch, the mean and the standard deviation between launches, as in the paper's Tables
-    1 to 3; with `deviations`, as there, those from the systematic values. `on_page` values have the digits of U,
-    without the mean."""
+    1 to 3; `deviations` are, as there, from the systematic values. `on_page` values have the digits of U, without the
+    mean."""
     names = [launch.session for launch in calibration.evidence.launches]
     headings = [f"{i}: {name}" if names.count(name) > 1 else name for i, name in enumerate(names, 1)]
     by_name = [{q.name: q for q in launch.parameters} for launch in calibration.evidence.launches]

@@ -68,7 +68,7 @@ def check_blocks(check: FieldCheck, *, rests: bool = True) -> list[Block]:
 
 
 def _rest_table(rests: Sequence[CheckedRest]) -> Table:
-    """Return a table of the differences from gravity at rests or positions, empty where these are not predicted."""
+    """Return a table of the differences from gravity at rests or positions, with empty cells without a prediction."""
     size, unit = engineering("m/s^2", _largest(rests))
     rows = []
     for rest in rests:
@@ -118,7 +118,7 @@ def _test_blocks(check: FieldCheck, misfit: Fit) -> Iterator[Block]:
 
 
 def _no_change(check: FieldCheck) -> str:
-    """State the verdict of no change, with the largest change of each group that would not be detected."""
+    """State the verdict of no change, with the largest undetectable change of each group."""
     if not check.parameters:
         return "no change is shown"
     worst = dict[str, str]()

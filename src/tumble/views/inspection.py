@@ -1,4 +1,4 @@
-"""Rests and turns of a recording: tables, and a picture of the readings over time, with the files of a log in a row."""
+"""Rests and turns of a recording: tables, and a picture of the readings over time, files side by side."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-UPRIGHT = 0.98  # an axis within 11° of the vertical is up or down
+UPRIGHT = 0.98  # cosine of 11°: an axis nearer to the vertical is up or down
 
 _REST_COLOUR, _TURN_COLOUR = "#e3e8ee", "#f6e3d6"
 _MAX_NUMBERED = 40  # rests in a picture

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from tumble.run.quiet_samples import RecordedNoise
 
-CLOSE = 4.0  # difference of −2 ln likelihood, below which the second best sum of processes is named
+CLOSE = 4.0  # difference of −2 ln likelihood below which the second best sum of processes is also named
 _COLUMNS = ("sensor", "noise", "symbol", "value", "u (k=1)", "unit")
 _MICRO_G = 1e-6 * G_STANDARD
 _SYMBOLS_AND_UNITS = {

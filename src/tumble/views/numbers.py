@@ -42,7 +42,7 @@ Units = Mapping[str, tuple[float, str]]
 
 
 def shown_units(quantities: Iterable[Quantity]) -> Units:
-    """Return the display unit of each quantity: one for all of a group, by their root mean square."""
+    """Return the display unit of each quantity, the same within a group, by the root mean square of its values."""
     return units_of_values((q.name, q.value, q.unit) for q in quantities)
 
 

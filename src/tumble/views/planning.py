@@ -13,7 +13,7 @@ from tumble.units import DEGREE
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.numbers import minus
 
-MIN_SHARE = 1e-4  # of u², of sources that are shown
+MIN_SHARE = 1e-4  # of u²; smaller sources are not shown
 
 
 def _in_unit(name: str, value: float) -> str:

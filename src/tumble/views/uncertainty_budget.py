@@ -13,7 +13,7 @@ from tumble.sensors.parameters import beyond_linear, sensor_kind, shown_in
 from tumble.views.blocks import Block, Section, Table, section, table
 from tumble.views.numbers import cells, percent, shown_units, significant
 
-MIN_SHARE = 0.02  # of u²; sources below it in every group are summed up in one line
+MIN_SHARE = 0.02  # of u²; sources with a smaller share in every group are summed in one line
 OTHERS = "all others"
 
 
@@ -42,7 +42,7 @@ def share_table(calibration: Calibration) -> Table:
     small = [s for s in order if by_group[:, s].max() < MIN_SHARE and budget[s].name not in standards]
     for s in (s for s in order if s not in small):
         row, (size, unit) = {"source": _words(budget[s]), "type": budget[s].type}, _unit_of(budget[s])
-        u = budget[s].u  # for a prior that of its group; None for a source of several quantities
+        u = budget[s].u  # of a prior: that of its group; None for a source of several quantities
         row |= {"u": "", "unit": ""} if u is None else {"u": _two_digits(u / size), "unit": unit}
         row |= {"dof": _degrees(budget[s].dof)}
         rows.append(row | {group: percent(float(share[s])) for group, share in shares.items()})

@@ -53,7 +53,7 @@ class Estimates:
         return self._future is not None
 
     def take(self) -> None:
-        """Take over the estimate that is being computed if it is done; after a failure show the error."""
+        """Take over the computed estimate if it is finished; after a failure show the error."""
         if self._future is None or not self._future.done():
             return
         done, self._future = self._future, None

@@ -14,13 +14,13 @@ from tumble.programme.sheet_words import move_text
 from tumble.reduction.rests.matching import POSITION_LIMIT, TURN_LIMIT
 from tumble.units import ACCEL_UNITS, DEGREE, Array
 
-STUCK_SECONDS = 1.0  # for which a stuck channel repeats itself while others of its kind do not
+STUCK_SECONDS = 1.0  # during which a stuck channel repeats itself while others of its kind do not
 CLIPPED_FRACTION = 0.999  # of the full scale
 _MIN_RUN = 20  # samples of a stuck channel
 _REPORT_SECONDS = 10.0  # between two reports of a fault of one channel
 SAME_SECONDS = 1.0  # between the beginnings of two reports of one fault
-WRONG_WAY = 30.0 * DEGREE  # rad, after which a turn in the wrong sense is reported before it ends
-KNOCK_SECONDS = 5.0  # of motion within a rest; after a longer one the unit was in another position
+WRONG_WAY = 30.0 * DEGREE  # rad; a larger turn in the wrong sense is reported before it ends
+KNOCK_SECONDS = 5.0  # of motion within a rest; after longer motion the unit may be in another position
 PASSING = ("wrong position", "wrong way", "wrong turn")
 """Faults of a rest that pass when the right position follows; the rest is then left out."""
 
@@ -32,8 +32,8 @@ UNIT_TOLERANCE = 0.25  # relative error of measured gravity in the suggested uni
 class Fault:
     """A fault of the recording.
 
-    It has a `kind`, such as "knock", a sentence for the page (`said`), and times, s. `place` is the position in the
-    course that it concerns, from 0, None for the present one; `choices` are the commands that answer it; `unit` is the
+    It has a `kind`, such as "knock", a sentence for the page (`said`), and times, s. `place` is the number of its
+    position in the course, from 0, None for the present one; `choices` are the commands that answer it; `unit` is the
     suggested unit of the accelerometers."""
 
     kind: str
@@ -175,8 +175,8 @@ def is_over(fault: Fault, task: Task, progress: Progress) -> bool:
 def _off_course(task: Task, programme: Programme, progress: Progress) -> Iterator[Fault]:
     """Yield the first departure from an ordered programme.
 
-    It is the first rest whose vertical is not that of its position, or which was reached by another turn than the
-    programme's, by the gyros; otherwise a turn under way in the wrong sense."""
+    It is the first rest whose vertical is not that of its position, or that was reached by another turn than the
+    programme's according to the gyros; otherwise a turn under way in the wrong sense."""
     groups, rests = progress.groups, [group[-1] for group in progress.groups]
     expected = np.array([position.vertical_b for position in programme.positions])
     for k, vertical in enumerate(verticals(rests, programme, task.session.site.gravity)):

@@ -24,15 +24,15 @@ _PIECES = 32
 _SEARCH_GROWTH = 2e-4  # relative growth of the log before the next search for rests: a tenth of a processor
 _JUDGE_GROWTH = 0.01  # relative growth of a rest before it is judged again
 _RECENT_BLOCKS = 50  # 5 s
-_MAX_FAULTS = 64  # kept faults of samples; a source that stutters for hours has one a second
+_MAX_FAULTS = 64  # kept faults of samples; an unsteady source can cause one per second for hours
 
 
 class Live:
     """Follows the log of a task through the same reduction as a calibration.
 
     `now` is the progress, None before the first block; `faults` are the latest faults of samples, of which `samples`
-    were read and `lost` are missing. `at` bytes were read of the present one of the `files`, to which another may be
-    added. `trouble` is the reason why the log cannot be followed, or empty."""
+    were read and `lost` are missing. `at` bytes were read of the current one of the `files`, whose number may grow.
+    `trouble` is the reason why the log cannot be followed, or empty."""
 
     def __init__(self, task: Task) -> None:
         self._task = task
@@ -95,7 +95,7 @@ class Live:
         """Report a restart of the clock as a fault, once there are data in the next file.
 
         A rest of a programme ends there: it is kept if it was long enough, and else begins anew. If the next file is
-        long already, this was settled before the page was opened."""
+        already long, the operator settled this before the page was opened."""
         file = progress.blocks.files[-1]
         if self._ended is None or file.number < self._number:
             return
@@ -141,7 +141,7 @@ class Live:
         return True
 
     def _check_clock(self, rows: Array) -> None:
-        """Report a clock that has gone back in the log of another program, from which no sample is taken meanwhile."""
+        """Report a clock that has gone back in the log of another program; no samples are taken meanwhile."""
         spec = self._task.session.log
         if spec.time is not None:
             behind = self._latest - float(rows[-1, spec.columns.index(spec.time)]) * spec.time_factor
@@ -213,8 +213,8 @@ class Live:
     def _judge(self, reduction: Reduction, file: File, rest: Rest) -> Judged:
         """Judge a rest; the current one again every half second, later after growth by one per cent.
 
-        A rest that was long enough remains so: its u is known to some per cent, and would cross the wanted one more
-        than once."""
+        A rest that was long enough remains so: its u is uncertain by some per cent and could cross the wanted u
+        repeatedly."""
         last, judged = self._judged.get(rest.first, (0, None))
         if judged is None or not 0 <= rest.last - last < max(5.0, _JUDGE_GROWTH * (rest.last - rest.first)):
             judged = Judged.of(reduction, file, rest, self._task.wanted)

@@ -1,4 +1,4 @@
-"""Progress of a session: rests by position, the quality of the last one, and the present turn.
+"""Progress of a session: rests by position, the quality of the last rest, and the present turn.
 
 It follows from the blocks of the log and the exclusions alone, so that a restarted page shows the same.
 """
@@ -23,9 +23,9 @@ from tumble.units import Array
 LATEST_BLOCKS = 5  # 0.5 s, whose mean is the present reading
 DETECTION_BLOCKS = 10  # 1 s, in which a rest is detected
 SHORTEST_REST = 4.0  # s
-ATTITUDE_SECONDS = 300.0  # in which gyros of 0.01 °/s keep an attitude to 3°, about the resolution of a picture
+ATTITUDE_SECONDS = 300.0  # in which gyros with a bias of 0.01 °/s turn by 3°, about the resolution of a picture
 OPPOSITE = 0.01  # sine of the angle between opposite verticals, between which the turn is undefined
-MAX_REDUCTION = 0.93  # of u by twice the time, above which a longer rest is useless
+MAX_REDUCTION = 0.93  # ratio of u after twice the time to u now, above which a longer rest is useless
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -161,7 +161,7 @@ class Judged:
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Progress:
     """Progress of a recording: its reduction and blocks; the rests `so_far`, None while the log is too short to find
-    any, in `groups` by position in chronological order; and the quality of the last two rests of the last position
+    rests, in `groups` by position in chronological order; and the quality of the last two rests of the last position
     (`judged`)."""
 
     reduction: Reduction

@@ -79,7 +79,7 @@ class Task:
 
     @staticmethod
     def of(session: Session, wanted: Wanted, grade: str) -> Task:
-        """Return the task of a session; `grade` is that of a unit whose session gives none."""
+        """Return the task of a session; `grade` is used if the session gives none."""
         programme = None if session.programme is None else session.programme.listed
         return Task(session=session, programme=programme, grade=session.device.grade or grade, wanted=wanted)
 

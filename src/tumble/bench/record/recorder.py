@@ -196,7 +196,7 @@ class Intake:
         self._clock = None if spec.time is None or spec.regular else spec.columns.index(spec.time)
         self._second = spec.time_factor
         self._last: float | None = None  # time of the last trusted row, s
-        self._apart = list[tuple[bytes, float]]()  # later rows and times that agree with each other, but not with it
+        self._apart = list[tuple[bytes, float]]()  # later rows whose times agree with each other but not with `_last`
         if self._clock is not None:
             with suppress(ValueError, IndexError):
                 self._last = float(self.recorder.last_line().split(b",")[self._clock]) * self._second
@@ -205,7 +205,7 @@ class Intake:
         self._failure = ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="intake", daemon=True)
-        self._recorded: Iterator[bytes] | None = None  # rows in the log that a source which restarts sends again
+        self._recorded: Iterator[bytes] | None = None  # rows in the log, which a restarted source sends again
         if source.begins_anew:
             self._recorded = _read_rows(self.files)
             source.hurry(sum(1 for _ in _read_rows(self.files)))
@@ -283,8 +283,8 @@ class Intake:
                 self._last, self._apart = at, []
 
     def _begin_file(self, rows: bytes) -> None:
-        """Continue in another file, log-2.csv after log.csv, with the last rows of the present one, unless the disk
-        accepts nothing."""
+        """Continue in another file, log-2.csv after log.csv, and move the last rows into it, unless the disk accepts
+        nothing."""
         first = self.files[0]
         names = (first.with_stem(f"{first.stem}-{number}") for number in count(2))
         path = next(each for each in names if not each.exists())
@@ -299,7 +299,7 @@ class Intake:
             self.files.append(path)
 
     def _is_new(self, row: bytes) -> bool:
-        """Return True for a row that is not in the log yet, and for all after it."""
+        """Return True for a row that is not yet in the log, and for all later rows."""
         if self._recorded is not None and next(self._recorded, None) == row:
             return False
         self._recorded = None

@@ -1,8 +1,8 @@
 """Access to the page: the token, the host names of the server, and the content that a page may load.
 
-On the loopback interface anyone on the machine may look. Commands, and any access over the network, need the token: it
-is in the printed link, and then in a cookie that no script and no other site can read. It stays the same when the
-server is restarted, so that open pages continue.
+On the loopback interface anyone on the machine may view the page. Commands, and any access over the network, need the
+token: it is in the printed link, and then in a cookie that no script and no other site can read. It stays the same when
+the server is restarted, so that open pages continue.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 TOKEN_VARIABLE = "TUMBLE_BENCH_TOKEN"
-_MIN_LENGTH = 16  # of a token
-_OTHERS_MODE = 0 if os.name == "nt" else 0o077  # access bits of others than the owner of a file
+_MIN_LENGTH = 16  # of a token, characters
+_OTHERS_MODE = 0 if os.name == "nt" else 0o077  # access bits for users other than the owner of a file
 
 HEADERS: Mapping[str, str] = {
     "Content-Security-Policy": (

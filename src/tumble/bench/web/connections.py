@@ -18,7 +18,7 @@ WAITING = 128  # connections that wait to be accepted
 
 
 def max_connections() -> int:
-    """Return the number of connections that leaves files for the recordings: a quarter of the process's limit."""
+    """Return the largest number of connections, a quarter of the limit of open files: recordings need files too."""
     if sys.platform == "win32":
         return MAX_CONNECTIONS
     import resource

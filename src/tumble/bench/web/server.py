@@ -32,7 +32,7 @@ _YEAR = 365 * 86400
 _ENTRY_PAGE = '<meta http-equiv="refresh" content="0; url=/">'
 _MAX_COMMAND_BYTES = 4096
 _COMMAND_SECONDS = 10.0  # in which the body of a command must arrive
-_COMMANDS_AT_ONCE = 2  # one that takes minutes, and one that is refused meanwhile
+_COMMANDS_AT_ONCE = 2  # one that takes minutes, and one that is meanwhile refused
 
 
 def app_of(station: Station, access: Access) -> Starlette:
@@ -57,7 +57,7 @@ def app_of(station: Station, access: Access) -> Starlette:
     def event(state: State, since: int, may_command: bool) -> tuple[str, int]:
         """Return a state with the block means from number `since` on as an event, and the number after the last.
 
-        It is encoded once for all pages that are equally far."""
+        It is encoded once for all pages with the same `since`."""
         nonlocal written, written_state
         if state is not written_state:
             written, written_state = {}, state

@@ -1,12 +1,12 @@
 """Tables of a registry, and transactions of its readers and writers.
 
-A device is identified by its serial number and has no table. A calibration has the columns by which records are
-searched and listed, and the text of its file. Triggers prevent rows from being changed or deleted. If the tables
+A device is identified by its serial number and has no table. The row of a calibration has the columns by which records
+are searched and listed, and the text of its file. Triggers prevent rows from being changed or deleted. If the tables
 change in a later version, one of them must be renamed, so that a database of another version is recognised.
 
 Writers are serialised by BEGIN IMMEDIATE on SQLite and an advisory lock on PostgreSQL. A plain BEGIN on SQLite would
-take the lock only at the first write, when data that were read before may be stale. A reader sees one state of the
-database throughout its transaction and never waits.
+take the lock only at the first write, when data read before may be stale. A reader sees one state of the database
+throughout its transaction and never waits.
 """
 
 from __future__ import annotations

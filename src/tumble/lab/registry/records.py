@@ -1,4 +1,4 @@
-"""Records of a registry as they are read back, and due dates of devices."""
+"""Records read from a registry, and due dates of devices."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 from tumble.lab.limits import Limits, Occasion, parse_limits
 
 State = Literal["as-found", "as-left", "unchanged"]
-"""Calibrated before an adjustment, after it, or without one."""
+"""State of the device: before an adjustment, after it, or without one."""
 FAILED = ("fail", "conditional fail")
 """Verdicts that withdraw a device from use."""
 
@@ -55,7 +55,7 @@ class LimitsRecord:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Due:
-    """Due date of a device: its latest record, the number of its `calibrations`, the day `on` which it is asked for,
+    """Due date of a device: its latest record, the number of its `calibrations`, the day `on` of the query,
     the interval in `months` and the `day` on which the next calibration is due (None without an interval)."""
 
     json_fields: ClassVar = ("record", "calibrations", "months", "day", "withdrawn", "overdue")

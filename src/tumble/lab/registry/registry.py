@@ -104,7 +104,7 @@ class Registry:
         performed
             When the device was calibrated; default: the date of the recording, or else of the file.
         occasion
-            Check by whose limits it is judged; default: "incoming" for the first record of a device, then "periodic".
+            Check whose limits apply; default: "incoming" for the first record of a device, then "periodic".
         state
             Before an adjustment ("as-found"), after it ("as-left"), or without one.
 
@@ -246,7 +246,7 @@ class Registry:
         return trend_of([(record, self.calibration(record, frame)) for record in records], limits)
 
     def due(self, on: date | None = None) -> list[Due]:
-        """Return the due dates of all devices, as on a day (today by default).
+        """Return the due dates of all devices, evaluated on a day (today by default).
 
         Devices that failed their latest check come first, then the most urgent, those without an interval last."""
         on = datetime.now(UTC).date() if on is None else on

@@ -241,7 +241,7 @@ def _shared(points: Sequence[Point]) -> Array:
 
 
 def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift | None]:
-    """Return τ and the drift (module docstring), None for what the points do not determine."""
+    """Return τ and the drift (module docstring), each None if the points do not determine it."""
     if not points or not all(p.u and all(u for _, u in p.launches) for p in points):
         return None, None
     shared = _shared(points)

@@ -125,8 +125,8 @@ def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | N
 
 
 def _select_parameters(parameters: Sequence[Q], kept: Collection[str], *, every: bool) -> tuple[list[Q], str]:
-    """Return the parameters of the linear model and those named in `kept`, or `every` one, and a sentence that counts
-    the others."""
+    """Return the parameters of the linear model and those named in `kept`, or all with `every`, and a sentence with the
+    number of the others."""
     shown = [p for p in parameters if every or p.name in kept or not beyond_linear(p.name)]
     groups = len({group_name(p.name) for p in parameters if p not in shown})
     where, further = "1 group" if groups == 1 else f"{groups} groups", len(parameters) - len(shown)

@@ -1,4 +1,4 @@
-"""Kinds of a table's columns by their names: times, sensors, temperatures, and their units.
+"""Identification of a table's columns by their names: times, sensors, temperatures, and their units.
 
 A name such as `imu.acc_x [g]`, `linear_acceleration.y` or `gyrz_dps` is split into words and a unit. A single letter or
 digit among the words, or at the end of one, is the axis; the patterns of names.toml give the kind of sensor for the
@@ -18,11 +18,11 @@ from typing import Any
 
 ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
 INTERVAL, OTHER = "interval", "other"
-"""Times since the previous sample, and quantities that are no readings of a sensor that can be calibrated."""
+"""Kinds of columns: times since the previous sample, and quantities that cannot be calibrated."""
 SENSOR_KINDS = (ACCEL, GYRO, MAGNETOMETER)
 
 IDENTIFYING_WEIGHT = 4.0
-"""Patterns of this weight or more identify a kind; lighter ones only rank several columns of one kind."""
+"""Least weight of a pattern that identifies a kind; lighter patterns only rank columns of one kind."""
 
 _TABLE: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "names.toml").read_text(encoding="utf-8"))
 _SPELLINGS: Mapping[str, Mapping[str, str]] = {
@@ -56,7 +56,7 @@ _KIND_OF_UNIT: Mapping[str, str] = {
     for unit in frozenset(text for kind in SENSOR_KINDS for text in UNITS[kind])
     if len(kinds := [kind for kind in (*SENSOR_KINDS, TIME_KIND) if unit in UNITS[kind]]) == 1
 }
-"""The kind of sensor for units that only one kind has."""
+"""Kind of sensor by unit, for units of only one kind."""
 _UNITS_OF_OTHERS = frozenset(_TABLE["units_of_others"])
 
 
@@ -80,7 +80,7 @@ PATTERNS = tuple(_patterns())
 
 
 def score(kind: str, name: str, unit: str = "", axis: str = "") -> float:
-    """Return the weight of evidence that a column is of a kind; 0 for none, and for a unit of another kind of sensor.
+    """Return the weight of evidence that a column is of a kind; 0 without evidence or for a unit of another kind.
 
     Parameters
     ----------
@@ -185,10 +185,10 @@ class Sensors:
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Columns:
-    """Columns of a table by kind: time, a triad of each kind of sensor, and thermometers as [log.temperature] has them.
+    """Columns of a table by kind: time, a triad of each kind of sensor, and thermometers as in [log.temperature].
 
     `time_unit` is None if the name has no unit; `others` are further triads and thermometers, `times` all columns named
-    as times, `interval` the times since the previous sample. `ambiguous`: other columns are hardly less likely."""
+    as times, `interval` that of times since the previous sample. `ambiguous`: other columns are nearly as likely."""
 
     time: str | None
     time_unit: str | None
@@ -327,7 +327,7 @@ def _axes(words: list[str]) -> list[tuple[str, str]]:
 
 
 def _axis_alone(words: list[str]) -> list[tuple[str, str]]:
-    """Return the axis of a name that is nothing else."""
+    """Return the axis of a name that consists only of it."""
     return [(words[0], "")] if len(words) == 1 and words[0] in ("x", "y", "z") else []
 
 
@@ -346,7 +346,7 @@ def _split(name: str) -> tuple[list[str], str]:
     words = _words(name)
     for count in (2, 1):
         unit, rest = "_".join(words[-count:]), words[:-count]
-        # the rest must be a name by itself: with an axis, a direction or a word for time
+        # the remaining words must be a name by themselves: with an axis, a direction or a word for time
         is_name = _axes(rest) or any(map(_DIRECTION.fullmatch, rest)) or score(TIME_KIND, "_".join(rest))
         if rest and unit in ALL_UNITS and is_name:
             return rest, unit
@@ -363,7 +363,7 @@ def _words(name: str) -> list[str]:
         words += [token] if token.lower() in ALL_UNITS else re.split(r"(?<=[a-z])(?=[A-Z])", token)
     words = [word.lower() for word in words if word]
     kept = [word for word in words if word != "axis"]
-    kept = kept[:-1] if kept[-1:] == ["cal"] else kept  # Shimmer marks columns in a unit so
+    kept = kept[:-1] if kept[-1:] == ["cal"] else kept  # mark of Shimmer for columns in a unit
     return kept if len(kept) > 1 else words
 
 
@@ -393,7 +393,7 @@ def thermometer(words: Sequence[str]) -> ThermometerPlace | None:
 
 
 def _columns_per_sensor(places: dict[str, ThermometerPlace], *, gyros: bool) -> tuple[str, ...]:
-    """Return thermometers as [log.temperature] lists them: one for all sensors, one a kind, or one a sensor.
+    """Return thermometers as in [log.temperature]: one for all sensors, one per kind, or one per sensor.
 
     A kind of sensor without a thermometer shares that of the other kind, or one without a kind."""
     if not places:

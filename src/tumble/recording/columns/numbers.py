@@ -1,9 +1,9 @@
-"""Sensors among columns without telling names, identified by their numbers.
+"""Identification of sensors among columns without meaningful names, by their numbers.
 
-Every hypothesis names three adjacent columns as accelerometers and three as gyros; the one of least cost over the whole
-recording is taken. The cost is −2 ln of a likelihood, up to a constant common to all hypotheses. At rest accelerometers
-read one length about a zero, in a unit or in counts of data sheets, with little scatter; as the body turns, their mean
-vectors spread over a sphere. Gyros read the same vector at every rest, and turn the vector of the accelerometers:
+Every hypothesis takes three adjacent columns as accelerometers and three as gyros; the one with the least cost over the
+whole recording is chosen. The cost is −2 ln of a likelihood, up to a constant common to all hypotheses. At rest
+accelerometer vectors have one length about a zero, in a unit or in counts of data sheets, with little scatter; as the
+body turns, their means spread over a sphere. Gyros read one vector at every rest, and turn that of the accelerometers:
 da = −ω × a. The three sensors of a kind have equal noise. Times, counters and unit vectors of a filter are excluded.
 """
 
@@ -25,7 +25,7 @@ _BLOCK = 25  # rows
 _QUIET_SHARE = 0.4  # of the blocks
 _FEWEST_ROWS = 200
 _RESTART_SHARE = 1e-3  # of the steps of a counter
-_RISING_SHARE, _RISING_SHARE_OF_SECONDS = 0.02, 1e-4  # of the steps of a time; of one in whole seconds
+_RISING_SHARE, _RISING_SHARE_OF_SECONDS = 0.02, 1e-4  # of the steps of a time, and of a time in whole seconds
 DATES = 1.1e9, 2.2e9
 """s since 1970: 2004 to 2039."""
 _UNIT_VECTOR_SPREAD = 1e-5  # of the length of a vector of constant length
@@ -42,24 +42,24 @@ _GYRO_CHANGE = 0.25  # of the readings of gyros from rest to rest, relative to t
 _COUNTED = 2.0  # −2 ln of the probability of counts of data sheets; with powers of two a sixth fit by chance
 _RARE = 2.2  # −2 ln(1/3), rare against common counts in `scales`
 _NO_SCALE = 16.0  # neither a unit nor counts of data sheets
-_CARRIED = 18.0  # gyros that turn the accelerometers' vector completely, against none
+_CARRIED = 18.0  # gyros that explain the turns of the accelerometers' vector completely, against none
 _OFF_TRIPLE = 1.5  # three columns that overlap two triples
-_BIAS = 0.5  # of gyros, for a factor of e of their mean vector over their spread
-_MOST = 9.0  # for one deviation: three standard deviations
+_BIAS = 0.5  # of gyros, per factor e of the ratio of their mean vector to their spread
+_MOST = 9.0  # largest cost of one deviation: three standard deviations
 _LIMIT = _COUNTED + _RARE + 1.0  # accelerometers of rare counts and one standard deviation
-_NO_GYROS = 16.0  # six sensors of which three are no gyros
+_NO_GYROS = 16.0  # six sensors, three of which are not gyros
 _BEFORE, _BETWEEN, _ASKEW, _LATER = 1.0, 4.0, 6.0, 8.0
-"""Gyros before the accelerometers; three columns between the two; one or two between; other columns before both."""
+"""Costs: gyros before the accelerometers; three columns between them; one or two between; other columns before both."""
 _AMBIGUOUS = 6.0
-"""A hypothesis that costs so much more than another is 20 times less likely."""
+"""Difference of cost at which a hypothesis is 20 times less likely than another."""
 
 _LEAST_MOVE, _LARGEST_MOVE, _FEWEST_MOVES = 0.05, 0.3, 20
-"""Changes of the vector from block to block, of gravity, that test gyros, and their least number."""
+"""Least change of the vector between blocks, of gravity, for a test of gyros, and least number of changes."""
 _LEAST_MOTION = 0.01  # of gravity: least scatter of each accelerometer of a body that is never at rest
 _LENGTH_IN_MOTION, _SPREAD_IN_MOTION = 0.12, 0.4
-"""Of gravity: tolerance of the median length of block means of a moving body, and limit of their spread."""
+"""For a moving body, of gravity: tolerance of the median length of block means, and limit of their spread."""
 _ONE_WAY_SHARE = 0.05
-"""Half of the steps of a sensor fall; 1 of 20 and less by chance once in 50,000 times."""
+"""Half of the steps of a sensor fall; at most 1 of 20 does by chance once in 50,000 cases."""
 
 MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
 """Zeros of converters without a sign."""
@@ -122,7 +122,7 @@ def _ranked_hypotheses(names: Sequence[str], table: Array, columns: Sequence[int
     """Return all hypotheses in the order of their cost."""
     filled = [j for j in columns if np.isfinite(table[:, j]).mean() > 0.5]
     attitudes = _attitudes(table, filled)
-    candidates = []  # columns that rise and fall, unlike clocks, counters and numbers of positions
+    candidates = []  # columns that rise and fall, unlike clocks, counters and position numbers
     for j in filled:
         steps = np.diff(table[np.isfinite(table[:, j]), j])
         rises, falls = np.count_nonzero(steps > 0.0), np.count_nonzero(steps < 0.0)
@@ -138,7 +138,7 @@ def _ranked_hypotheses(names: Sequence[str], table: Array, columns: Sequence[int
     off_triple = {triple: _OFF_TRIPLE * ((triple[0] - first[triple[0]]) % 3 != 0) for triple in triples}
     hypotheses: list[_Hypothesis] = []
     for accel in triples:
-        # beside the results of a filter, accelerometers are in a unit or in counts of data sheets
+        # next to results of a filter, accelerometers are in a unit or in counts of data sheets
         cost = _cost_of_accelerometers(table[:, accel], quiet, filtered=bool(attitudes))
         cost += noise[accel] + off_triple[accel]
         hypotheses.append(_Hypothesis(cost=cost, accel_cost=cost, accel=accel, gyro=None))
@@ -157,7 +157,7 @@ def _ranked_hypotheses(names: Sequence[str], table: Array, columns: Sequence[int
 def _triads_in_motion(names: Sequence[str], table: Array, columns: Sequence[int]) -> dict[str, Sensors]:
     """Return the sensors of a recording without rests, in three or six varying columns.
 
-    Accelerometers are the one triple whose length is that of gravity in a unit most of the time."""
+    Accelerometers are the only triple whose length is mostly that of gravity in some unit."""
     filled = [j for j in columns if np.isfinite(table[:, j]).mean() > 0.5]
     varying = [j for j in filled if np.nanstd(table[:, j]) > 0.0]
     triples = [tuple(varying[k : k + 3]) for k in range(0, len(varying), 3)]
@@ -227,8 +227,8 @@ def _cost_of_gyros(columns: Array, quiet: BoolArray) -> float:
 def _cost_of_turning(rates: Array, accel: Array, quiet: BoolArray) -> float:
     """Return the cost of three columns as gyros that turn the vector of the accelerometers (m, 3).
 
-    It follows from the share of the changes of the vector that da = −(M ω) × a explains, with any scales and axes M;
-    it is negative where they explain more than half, and 0 without enough changes."""
+    It follows from the share of the changes of the vector that da = −(M ω) × a explains, with any scales and axes M; it
+    is negative for more than half, and 0 without enough changes."""
     rates = rates - np.median(_rests(rates, quiet)[0], axis=0)
     complete = np.isfinite(rates).all(axis=1) & np.isfinite(accel).all(axis=1)
     rates, accel = rates[complete], accel[complete]
@@ -261,7 +261,7 @@ def _cost_of_turning(rates: Array, accel: Array, quiet: BoolArray) -> float:
 
 
 def _cost_of_unequal_noise(columns: Array, quiet: BoolArray) -> float:
-    """Return the cost of the differences in noise at rest; half the least step stands for a constant column."""
+    """Return the cost of the differences in noise at rest; a constant column has half the least step as noise."""
     _, scatter = _rests(columns, quiet)
     steps = [np.diff(np.unique(column[np.isfinite(column)])) for column in columns.T]
     noise = [max(float(s), 0.5 * float(step.min())) for s, step in zip(scatter, steps, strict=True)]
@@ -269,7 +269,7 @@ def _cost_of_unequal_noise(columns: Array, quiet: BoolArray) -> float:
 
 
 def _differ_in_axis_alone(names: Sequence[str]) -> bool:
-    """Return whether three names differ in one word or letter, as those of axes do; TRSS, TQly and TSNR do not."""
+    """Return whether three names differ in one word or letter, like those of axes and unlike TRSS, TQly and TSNR."""
     arrays = {match[1] if (match := _ARRAY_ELEMENT.fullmatch(name)) else "" for name in names}  # `imu/fb`
     if len(arrays) > 1:
         return False
@@ -302,7 +302,7 @@ def _attitudes(table: Array, columns: Sequence[int]) -> set[int]:
 
 
 def time_by_data(names: Sequence[str], table: Array) -> str | None:
-    """Return the first column of a table (m, n) that grows as times do, counters of samples excepted; None without."""
+    """Return the first column of a table (m, n) that grows like a time and is no counter of samples; None without."""
     for name, column in zip(names, table.T, strict=True):
         if grows(column):
             steps = np.diff(column[np.isfinite(column)])
@@ -334,7 +334,7 @@ def _blocks(columns: Array) -> tuple[Array, Array]:
 
 
 def _quiet_blocks(columns: Array) -> BoolArray:
-    """Return the blocks of rows in which all columns scatter least."""
+    """Return which blocks of rows have the least scatter in all columns."""
     _, scatter = _blocks(columns)
     complete = np.asarray(np.isfinite(scatter).all(axis=1))
     if not complete.any():

@@ -16,17 +16,18 @@ from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array, Unit
 
 SCALE_TOLERANCE = 0.06
-"""Standard deviation of ln(measured scale / nominal scale): scale errors of small sensors, and errors of few rests."""
+"""Standard deviation of ln(measured scale / nominal scale), by scale errors of small sensors and errors of few
+rests."""
 
 GYRO_RANGES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
 """Full scales of gyros with 16 bits, °/s."""
 
 FASTEST = 4200.0 * DEGREE
-"""rad/s: beyond the widest range of data sheets, 4000 °/s."""
+"""rad/s, beyond the widest range of data sheets, 4000 °/s."""
 
 COUNTS_PER = {ACCEL: "g", GYRO: "deg/s"}
 COUNTS_PER_SI = {ACCEL: G_STANDARD, GYRO: DEGREE}
-"""The unit that counts are per, and its size in SI."""
+"""Unit of the input in a scale of counts, and its size in SI."""
 
 FREQUENCIES: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "scales.toml").read_text(encoding="utf-8"))
 _LISTED_COUNTS_SHARES = 0.03, 0.75
@@ -37,8 +38,8 @@ _LISTED_COUNTS_SHARES = 0.03, 0.75
 class SensorScale:
     """Reading of a sensor for an input of one g or one °/s.
 
-    `value` is the reading, of an increment that for one second; `unit` is None for counts; `shares` are the frequencies
-    among logs with fractions and among logs of whole numbers; `listed` and `common` describe the entry in the table."""
+    `value` is the reading, or its sum over one second; `unit` is None for counts; `shares` are the frequencies among
+    logs with fractions and among logs of whole numbers; `listed` and `common` describe the entry in the table."""
 
     value: float
     unit: str | None = None
@@ -104,7 +105,7 @@ _STEPS = (
 )
 """Resolutions of data sheets, °/s per count."""
 _MOST_DECIMALS = 9
-_ROUNDING_LIMIT = 0.2  # of a step; readings rounded more coarsely do not show it
+_ROUNDING_LIMIT = 0.2  # of a step; in readings rounded more coarsely it cannot be recognised
 _MULTIPLES_SHARE = 0.99  # of the readings
 _CHANCE_LIMIT = 20.0  # −ln of the probability that the readings are multiples by chance, at least
 _SINGLE_PRECISION = 1e-6  # of the largest reading
@@ -112,7 +113,7 @@ _WRITTEN_DIGITS = 6  # significant digits that programs write by default
 
 
 def resolution_in_deg_s(readings: Array) -> float | None:
-    """Return the resolution of a data sheet, °/s, of which the readings (N, 3) are multiples; None if of none."""
+    """Return the resolution of a data sheet, °/s, of which the readings (N, 3) are multiples; None without one."""
     values = [np.unique(column[np.isfinite(column)]) for column in readings.T]
     if min(map(len, values)) < 2:
         return None

@@ -2,8 +2,8 @@
 
 A recording is a list of `Message` kinds (a topic of a bag, a message of a flight log, a group of arrays), each with the
 sensors found in it and their units. `write_log` writes one kind, or accelerometers and gyros of two kinds, as one
-Parquet file for a session. Each format has a reader, behind the extra `formats`; a ROS 2 bag may also be a folder, and
-a log of ArduPilot a text. Other packages provide further readers (`tumble.plugins`).
+Parquet file for a session. Each format has a reader, which needs the extra `formats`; a ROS 2 bag may also be a folder,
+and a log of ArduPilot a text. Other packages provide further readers (`tumble.plugins`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _READERS = {
     "ardupilot": ("pymavlink", (".bin",)),
     "arrays": ("h5py", (".mat", ".h5", ".hdf5", ".npy", ".npz")),
 }
-"""Modules of formats, with the library that each needs and the endings of its files."""
+"""Modules of formats, with the required library and the endings of the files."""
 
 ENDINGS: tuple[str, ...] = tuple(ending for _, endings in _READERS.values() for ending in endings)
 """Endings of files that can be read; a ROS 2 bag may also be a folder."""
@@ -43,7 +43,7 @@ _NO_PLUGINS = (*READ_ENDINGS, ".txt", ".log", ".zip")
 
 _DATAFLASH_TEXT = b"FMT,"
 _BINARY = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
-"""Bytes that no text has and that all recordings have at their beginning."""
+"""Bytes that occur at the beginning of all recordings and in no text."""
 
 TIME = "t"
 """The time column in the rows of a message, s, on a clock common to all messages of a recording."""
@@ -99,7 +99,7 @@ class Reader:
     endings
         Endings of the names of its files, in lower case and with the dot.
     messages
-        Returns the kinds of messages in a file. Any error of it is reported as a damaged file.
+        Function that returns the kinds of messages in a file. Its errors are reported as a damaged file.
     """
 
     endings: tuple[str, ...]
@@ -168,12 +168,12 @@ def messages(*paths: Path) -> list[Message]:
         found += [replace(message, rows=partial(_rows, path, message)) for message in of_file]
         nothing.append(none)
     if not any(message.accel for message in found):
-        alone, remedy = nothing[0], ""
+        sensors, remedy = nothing[0], ""
         if any(message.gyro for message in found):
-            alone = "gyros alone"
+            sensors = "gyros alone"
         elif any(MAGNETOMETER in message.triads for message in found):
-            alone, remedy = "a magnetometer alone", "; record the accelerometers with it"
-        raise InputError(f"{paths[0]}: expected messages with accelerometers, found {alone}{remedy}")
+            sensors, remedy = "a magnetometer alone", "; record the accelerometers with it"
+        raise InputError(f"{paths[0]}: expected messages with accelerometers, found {sensors}{remedy}")
     return found
 
 
@@ -183,7 +183,7 @@ def _rows(path: Path, message: Message) -> Iterator[pl.DataFrame]:
 
 
 PROGRAM_ERRORS = TypeError, AttributeError, NameError, LookupError, AssertionError
-"""Errors whose text describes the program and not the file."""
+"""Errors whose text describes the program, not the file."""
 
 
 @contextmanager
@@ -197,12 +197,10 @@ def _intact(path: Path) -> Iterator[None]:
         raise
     except OSError as error:
         raise InputError(f"{path}: expected a readable file, found: {error.strerror or error}") from None
-    except Exception as error:  # each reader's library has errors of its own, and struct.error, IndexError and more
+    except Exception as error:  # the libraries raise their own errors, struct.error, IndexError and more
         is_program_error = isinstance(error, PROGRAM_ERRORS)
         last = [str(frame.f_globals.get("__name__")) for frame, _ in walk_tb(error.__traceback__)][-2:]
-        here = any(
-            name.startswith("tumble.recording.formats.") for name in last
-        )  # a field that a message does not have
+        here = any(name.startswith("tumble.recording.formats.") for name in last)  # a message lacks a field
         if is_program_error and not isinstance(error, LookupError) and here:
             raise
         words = type(error).__name__ if is_program_error else " ".join(str(error).split()) or type(error).__name__
@@ -217,9 +215,9 @@ def _intact(path: Path) -> Iterator[None]:
 def write_log(path: Path, accel: Message, gyro: Message | None = None, thermometers: Sequence[Message] = ()) -> None:
     """Write the rows of a message with accelerometers, and of another one with the gyros, to a Parquet file.
 
-    Accelerometers of another message than the gyros, and the temperatures beside them, are interpolated linearly at the
-    times of the gyros, which are integrated, over the time that both cover. Temperatures of separate messages are
-    interpolated too, with the nearest one before and after."""
+    Accelerometers of another message than the gyros, and their temperatures, are interpolated linearly at the times of
+    the gyros, because gyros are integrated, over the time that both cover. Temperatures of separate messages are
+    interpolated too, and constant beyond their ends."""
     slow = [*thermometers] if gyro in (None, accel) else [accel, *thermometers]
     slow_tables = [(message.columns, pl.concat(message.rows())) for message in slow]
     tables = accel.rows()

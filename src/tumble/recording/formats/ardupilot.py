@@ -40,7 +40,7 @@ _INSTANCES = {
     **{kind: (kind, 0) for kind in _FIELDS},
     **{f"{kind}{number}": (kind, number - 1) for kind in _FIELDS for number in (1, 2, 3)},
 }
-"""Kind and instance by the name of a message; a field I has precedence for the instance."""
+"""Kind and instance in the name of a message; for the instance a field I takes precedence."""
 
 
 def messages(path: Path) -> list[Message]:
@@ -48,7 +48,7 @@ def messages(path: Path) -> list[Message]:
     kept: dict[tuple[str, int], list[list[float]]] = {}
     ids: dict[str, int] = {}
     with ExitStack() as stack:
-        if COMMAND_LINE.get():  # pymavlink prints a line for every byte that it skips, from Python and from C
+        if COMMAND_LINE.get():  # pymavlink prints a line, from Python or from C, for every byte that it skips
             stack.enter_context(without_panic(silent=True))
             nowhere = stack.enter_context(redirect_stdout(StringIO()))
             stack.enter_context(redirect_stderr(nowhere))

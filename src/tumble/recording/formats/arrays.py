@@ -45,14 +45,14 @@ _PIECE_BYTES = 1 << 20
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Column:
-    """A column of a table: the name of an array, the array (NumPy or HDF5), and the column or row of it."""
+    """A column of a table: the name of an array, the array (NumPy or HDF5), and the column or row in it."""
 
     name: str
     array: Any
     axis: int | None
 
     def part(self, rows: slice) -> Array:
-        """Return a part of the numbers, NaN for those that are no readings."""
+        """Return a part of the numbers, with NaN for those that are no readings."""
         shape, across = self.array.shape, 0 if self.axis is None else self.axis
         where = rows if len(shape) == 1 else (rows, across) if shape[0] >= shape[-1] else (across, rows)
         with np.errstate(over="ignore"):  # numbers of 80 bits beyond the range of 64
@@ -61,7 +61,7 @@ class Column:
 
 
 def messages(path: Path) -> list[Message]:
-    """Return tables with inertial sensors, one for each length of arrays, first those identified by name."""
+    """Return tables with inertial sensors, one for each length of arrays, those identified by name first."""
     arrays = {name: array for name, array in _arrays(path).items() if len(array.shape) in (1, 2)}
     by_name: list[Message] = []
     by_data: list[Message] = []
@@ -117,7 +117,7 @@ def _columns(arrays: Mapping[str, Any]) -> Iterator[tuple[str, Column]]:
 def _with_columns_by_data(columns: Mapping[str, Column], named: Columns) -> tuple[Columns, str]:
     """Identify columns by their numbers if no name identifies accelerometers, and return a remark.
 
-    Triads that are named stay."""
+    Triads identified by name are kept."""
     taken = {column for triad in named.triads.values() for column in triad.columns}
     free = {name: column for name, column in columns.items() if name not in taken}
     together = {name: column for name, column in free.items() if column.axis is not None} or free
@@ -149,7 +149,7 @@ def _arrays(path: Path) -> dict[str, Any]:
             else:  # mapped, so that a damaged header claims no memory
                 named = {path.stem: np.load(path, mmap_mode="r")}
         except ValueError as error:
-            # objects are not read, because this would run code from the file
+            # objects are not read, because reading them would run code from the file
             if "pickle" not in str(error) and "Python objects" not in str(error):
                 raise
             raise InputError(

@@ -33,7 +33,7 @@ class Row:
 
 
 class Lines:
-    """Parser of received bytes into rows with the columns `columns`, of which `clock` is the time.
+    """Parser of received bytes into rows of `columns`, of which `clock` is the time.
 
     Values are in the order of the log until a header states another one. `refused` counts the refused lines, which are
     passed to `refuse`; `last_refused` is the reason for the last one. `now` gives the time of a line of MotionCal."""

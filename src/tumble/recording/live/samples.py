@@ -1,4 +1,4 @@
-"""Samples of a live source, read by the same steps as those of a log that is complete."""
+"""Samples of a live source, processed by the same steps as those of a complete log."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ SI_LOG: Mapping[str, Any] = {
 """The table [log] of a source that sends t, ax, ay, az, gx, gy, gz in s, m/s² and rad/s."""
 _HEAD = 100  # rows from which the interval is taken
 READ_SECONDS = 0.2
-CLOCK_BACK = 1.0  # s: a time stamp that falls by more belongs to a clock that has restarted
+CLOCK_BACK = 1.0  # s; a time stamp that falls by more is that of a restarted clock
 TEMPERATURE = "temperature"
-"""Name of the column with the temperature, °C, of a source in SI."""
+"""Name of the temperature column, °C, of a source in SI."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -62,7 +62,7 @@ class StreamedSamples:
     head
         Number of rows from which the interval is taken.
     interval
-        From sample to sample, s; None for the median over the first `head` rows, and until they have arrived.
+        From sample to sample, s; if None, the median over the first `head` rows, once they have arrived.
     file
         Number of the file, from 0.
     """
@@ -76,8 +76,8 @@ class StreamedSamples:
     def feed(self, rows: Array) -> Chunk | None:
         """Add rows (m, columns) as written in the log, and return the samples that are complete, None without.
 
-        Rows whose times can only be checked by the next rows are held back. Raises LogError if too many rows have wrong
-        times, as after a restart of the clock."""
+        Rows whose times can only be checked against the next rows are held back. Raises LogError if too many rows have
+        wrong times, as after a restart of the clock."""
         spec, waiting = self._spec, self._coming.waiting
         waiting.append(rows)
         if self._samples is None:

@@ -1,4 +1,4 @@
-"""Sources of rows, as named after --listen, which give the bytes of lines:
+"""Sources of rows, named as by --listen, which return the bytes of lines:
 
     file:PATH   replay:FOLDER@20x   stdin   udp:[HOST:]PORT   tcp:[HOST:]PORT   serial:DEVICE:BAUD
     mavlink:udp:[HOST:]PORT   mavlink:DEVICE:BAUD
@@ -6,8 +6,8 @@
 An interrupted source states the reason in `trouble` and tries again; only a replay and standard input come to an end.
 
 Of the IMU messages of an autopilot (MAVLink), the first kind in the order of `MESSAGES` that arrives within a second is
-used. Its numbers are converted to SI as the messages define them. RAW_IMU defines no unit; that of SCALED_IMU, which
-ArduPilot and PX4 use for it, is taken.
+used. Its numbers are converted to SI as the messages define them. RAW_IMU defines no unit: ArduPilot and PX4 use that
+of SCALED_IMU.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Ended(Exception):  # noqa: N818
 class LineSource:
     """Base of the sources of lines.
 
-    `begins_anew`: it sends everything from its beginning when it is opened again. `trouble`: the reason for an
+    `begins_anew`: it sends everything from the beginning when it is opened again. `trouble`: the reason for an
     interruption. `session`: the session that is replayed."""
 
     name = ""
@@ -57,7 +57,7 @@ class LineSource:
     session: Session | None = None
 
     def read(self, timeout: float) -> bytes:
-        """Return the bytes received, none after `timeout` s without. Raises Ended at the end of the source."""
+        """Return the received bytes, none if nothing arrives in `timeout` s. Raises Ended at the end of the source."""
         raise NotImplementedError
 
     def hurry(self, rows: int) -> None:
@@ -140,8 +140,8 @@ class Udp(LineSource):
 class Tcp(LineSource):
     """Lines of one connection at a time.
 
-    A connection that has sent nothing for two seconds gives way to the next, because a sender that loses its power does
-    not end its connection."""
+    A connection that has sent nothing for two seconds gives way to the next, because a sender without power cannot
+    close its connection."""
 
     def __init__(self, host: str, port: int) -> None:
         self.name = f"tcp:{host}:{port}"
@@ -196,7 +196,7 @@ def _bind(made: socket.socket, host: str, port: int, name: str) -> int:
 
 
 class Serial(LineSource):
-    """A serial line; after the cable was pulled it is opened again as soon as it is back."""
+    """A serial line; if the cable is pulled, the line is opened again as soon as it is back."""
 
     def __init__(self, device: str, baud: int) -> None:
         with needs_extra("a serial line", "bench", "serial"):
@@ -286,9 +286,9 @@ def line_of(message: Any) -> str:
 
 
 class Replay(LineSource):
-    """The log of a session at `speed` times the pace of its recording, infinite for at once.
+    """The log of a session at `speed` times the pace of its recording; infinite means all at once.
 
-    A CSV file with commas is sent as it is, another file as lines of CSV."""
+    A CSV file with commas is sent unchanged, any other file as lines of CSV."""
 
     begins_anew = True
 
@@ -361,13 +361,13 @@ def _timed(log: LogSpec, names: list[str], lines: Iterator[bytes]) -> Iterator[t
 
 
 def is_recorded(log: LogSpec) -> bool:
-    """Return whether a log is written as the bench writes it: CSV files with commas and names in the first line."""
+    """Return whether a log has the form of those of the bench: CSV files with commas and names in the first line."""
     plain = all(isinstance(file, Path) and file.suffix == ".csv" for file in log.files)
     return plain and log.dialect is None and not log.clock
 
 
 def source_of(text: str) -> LineSource:
-    """Return the source that is named after --listen. Raises InputError for any other text."""
+    """Return the source named as by --listen. Raises InputError for any other text."""
     kind, _, rest = text.partition(":")
     before, _, last = rest.rpartition(":")
     number = whole_number(last)

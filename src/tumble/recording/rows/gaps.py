@@ -1,17 +1,17 @@
 """Gaps: runs of lost samples in a file.
 
 A sample is lost if its row is missing or cannot be read, or if one of its numbers is not finite or beyond 1e30. What
-happens to a run depends on its length:
+is done with a run depends on its length:
 
 * At most five samples are bridged: missing rows are inserted at evenly spaced times, and numbers that are not finite
   are interpolated linearly in time between their neighbours.
-* Longer runs are left out, and the samples continue behind them. A rest is not harmed. A turn with a missing part
-  cannot be integrated: its `Gap` is not `integrable`, and `observations` leaves the turn out.
+* Longer runs are left out, and the samples continue after them. Rests remain valid. A turn with a missing part cannot
+  be integrated: its `Gap` is not `integrable`, and `observations` leaves the turn out.
 * Runs before the first sound row and after the last one are left out.
 
 A row without a time of its own is left out (`timed`), and is a missing sample unless the next row follows in time. In a
-log without times each row counts as a sample; if it may have been none, the gap is not integrable. All of this is
-reported as `Gap`.
+log without times each row counts as a sample; if a row may not have been a sample, the gap is not integrable. Each case
+is reported as a `Gap`.
 
 The result does not depend on how the stream is divided into tables: rows that depend on the next table are pending.
 """
@@ -32,9 +32,9 @@ from tumble.units import Array, BoolArray, IntArray
 
 GAP_STEP = 1.5  # intervals; a longer step in time is a gap
 _BRIDGED_SAMPLES = 5
-MOST_GAPS = 100_000  # in a file; the error of bridging is in the scatter of turns
+MOST_GAPS = 100_000  # in a file; the scatter of turns contains the error of bridging
 LEFT_OUT_SHARE, LEFT_OUT_FREE = 2e-2, 3
-"""Rows without a time of their own that are tolerated in a file: this share of its rows, and this number."""
+"""Tolerated rows without a time of their own in a file: share of its rows, and number."""
 REGULAR_HINT = (
     "if the rows are equally spaced whatever their time stamps say, put regular = true in [log], or with arrays give "
     "rate= instead of time="
@@ -61,7 +61,7 @@ class Gap:
     integrable
         Whether a turn across the gap can be integrated.
     why
-        Reason if it cannot, in words about the turn; empty if other words state it.
+        Reason why it cannot, as a clause about the turn; empty if `what` is sufficient.
     """
 
     file: int
@@ -99,7 +99,7 @@ def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array)
 
 
 def runs_backwards(source: LogSource, spec: LogSpec, row: int, before: float, time: float) -> LogError:
-    """Return the error for a file whose time, s, falls back in a row and stays behind."""
+    """Return the error for a file whose time, s, falls back at a row and does not recover."""
     return LogError(
         f"{source.place(row, spec.time)}: expected a time after {before:.9g} s, found {time:.9g} s running backwards; "
         "list recordings whose time restarts as separate files"
@@ -131,11 +131,11 @@ class LogRows:
         return LogRows(numbers=self.numbers[rows], time=self.time[rows], values=values, unread=self.unread)
 
     def times_followed_by(self, other: LogRows) -> tuple[IntArray, Array]:
-        """Return numbers and times of these rows and of others behind them."""
+        """Return numbers and times of these rows and of the rows after them."""
         return np.concatenate([self.numbers, other.numbers]), np.concatenate([self.time, other.time])
 
     def followed_by(self, other: LogRows) -> LogRows:
-        """Return these rows and others behind them."""
+        """Return these rows and the rows after them."""
         numbers, time = self.times_followed_by(other)
         values = tuple(np.concatenate(pair) for pair in zip(self.values, other.values, strict=True))
         unread = {**{n: u for n, u in self.unread.items() if n in self.numbers}, **other.unread}
@@ -152,8 +152,8 @@ class LogRows:
 class Grid:
     """Times of equally spaced rows: the first and the interval, s.
 
-    Rows are counted; if their stamps are `rounded` times of the grid, they have the time nearest to their stamp.
-    `jitter` is the scatter of the stamps of bursts, s."""
+    The time of a row follows from its number; if the stamps are `rounded` times of the grid, it is the grid time
+    nearest to the stamp. `jitter` is the scatter of the stamps of bursts, s."""
 
     start: float
     interval: float
@@ -177,8 +177,8 @@ def side_by_side(table: pl.DataFrame, columns: Sequence[str]) -> Array:
 class Bridge:
     """Conversion of the rows of one file to samples, with gaps bridged or left out and added to `gaps`.
 
-    `last` is the last row that was passed on, always a sound one. `pending` are lost rows behind it whose end is not
-    known yet; of too many to be bridged only the first ones are kept. `count` is the number of gaps, `first` the
+    `last` is the last row that was passed on, always a sound one. `pending` are lost rows after it whose end is not
+    known yet; of a run too long to be bridged only the first rows are kept. `count` is the number of gaps, `first` the
     first."""
 
     source: LogSource
@@ -195,7 +195,7 @@ class Bridge:
         """Yield times and intervals, s, and numbers of all samples, interpolated if lost."""
         behind, start = 0, 0.0
         for new in stream:
-            if not len(new.time):  # no rows of a growing log have arrived
+            if not len(new.time):  # no new rows of a growing log
                 yield new.time, new.time, new.values
                 continue
             rows = new if self.pending is None else self.pending.followed_by(new)
@@ -230,7 +230,7 @@ class Bridge:
         return rows.part(slice(first, None)), lost[first:]
 
     def _leave_out(self, lost: LogRows, samples: int, stop: float) -> None:
-        """Report lost samples at the start or the end of the file, of which these are the first."""
+        """Report lost samples at the start or the end of the file; `lost` are the first of them."""
         unread = [u.what for u in lost.unread.values()][:1]
         what = unread or [f"{value} in '{column}'" for column, value in self._not_finite(lost)[:1]]
         row, time = int(lost.numbers[0]), float(lost.time[0])
@@ -240,7 +240,7 @@ class Bridge:
     def _repaired(self, rows: LogRows, lost: BoolArray) -> tuple[Array, Array, tuple[Array, ...]]:
         """Return times, intervals and numbers of the samples of rows, with short gaps filled and long ones left out.
 
-        The last row is sound, as is the last row that was passed on, if there is one. All numbers are finite."""
+        The last row must be sound, as must any row passed on before. All returned numbers are finite."""
         before, self.last = self.last, rows.part(slice(-1, None))
         new = 0 if before is None else 1
         number, time = (rows.numbers, rows.time) if before is None else before.times_followed_by(rows)
@@ -248,7 +248,7 @@ class Bridge:
         values, after_long = rows.values, np.empty(0, dtype=np.int64)
         if lost.any() or steps.max(initial=0.0) > GAP_STEP * self.interval:
             rows = rows if before is None else before.followed_by(rows)
-            # missing samples before rows 1, 2, …, by their steps in time, at most one more than are bridged
+            # missing samples before rows 1, 2, … by their steps in time, at most one more than can be bridged
             missing = np.where(steps > GAP_STEP * self.interval, np.floor(steps / self.interval + 0.5) - 1.0, 0.0)
             missing = np.minimum(missing, _BRIDGED_SAMPLES + 1).astype(np.int64)
             place = np.arange(len(rows.time)) + np.concatenate([[0], np.cumsum(missing)])

@@ -1,9 +1,9 @@
 """Rows of a file that have a time of their own, in the order of time.
 
-A row is left out if its time cannot be read or repeats that of the row before; if it leaps, alone or with the rows
-behind it, beyond the time of a later row; or if it falls back to or before the time of a row that was kept. If as many
+A row is left out if its time cannot be read or repeats that of the row before; if it leaps, alone or with the following
+rows, beyond the time of a later row; or if it falls back to or before the time of a row that was kept. If as many
 intervals pass as rows are left out, their stamps were wrong, and the missing samples are bridged. Otherwise the clock
-was set back, or rows are in the file twice: the time that passed is unknown, and a turn in it cannot be integrated.
+was set back, or rows are in the file twice: the elapsed time is unknown, and a turn in it cannot be integrated.
 
 Stamps can be unusable as the times of rows:
 
@@ -43,14 +43,14 @@ from tumble.recording.rows.gaps import (
 from tumble.recording.session import LogSpec
 from tumble.units import Array, BoolArray
 
-_HALF_DAY = 43200.0  # s: a clock that falls by more has passed midnight
+_HALF_DAY = 43200.0  # s; a clock that falls by more has passed midnight
 _PASSED_TOLERANCE = 0.5  # intervals, of the time that passed while rows were left out
-_LONGEST_LEAP = 20  # rows that leap together; of more, the rows that fall back behind them are wrong
+_LONGEST_LEAP = 20  # rows that leap together; after a longer run the rows that fall back are taken as wrong
 _MOST_DECIMALS = 9  # of rounded stamps, in their unit
-_COARSEST = 0.25  # of the interval; stamps rounded more coarsely do not tell rows apart
+_COARSEST = 0.25  # of the interval; stamps rounded more coarsely do not distinguish rows
 _ROUNDING_TOLERANCE = 0.6  # of the rounding step, of stamps about the straight line
 _ROUNDING_ERROR = 4.0 * np.finfo(float).eps
-_UNEVEN = 3e-3  # of the interval; less scatter of the intervals of bursts does no harm
+_UNEVEN = 3e-3  # of the interval; smaller scatter of the intervals of bursts is harmless
 _WITHIN_BURST = 0.05  # of the scatter of intervals: median difference of neighbouring intervals in a burst
 _INTERVAL_DECIMALS, _FEW_INTERVALS = 6, 4  # even rows with rounded stamps have few different intervals
 _BURSTS_PER_WINDOW = 40  # over which the mean distance of stamps from a straight line is taken
@@ -75,7 +75,7 @@ def check_head(source: LogSource, spec: LogSpec, time: Array) -> Array:
 
 
 def leaping(time: Array, before: float, step: float) -> BoolArray:
-    """Return which times (m,) leap by more than a `step` beyond a later time.
+    """Return which times (m,) exceed a later time by more than a `step`.
 
     `before` is the time of the row before them, −inf at the start of a file."""
     leaps = np.zeros(len(time), dtype=bool)
@@ -83,7 +83,7 @@ def leaping(time: Array, before: float, step: float) -> BoolArray:
         beyond = time[max(0, stop - _LONGEST_LEAP - 1) : stop] > time[stop]
         start = stop - (len(beyond) if beyond.all() else int(np.argmin(beyond[::-1])))
         former = time[start - 1] if start else before
-        longest = _LONGEST_LEAP if former > -math.inf else 1  # at the start of a file either side may be wrong
+        longest = _LONGEST_LEAP if former > -math.inf else 1  # at the start the rows before a fall may be wrong too
         if stop - start <= longest and former < time[stop] and time[start] - former > step:
             leaps[start:stop] = True
     return leaps
@@ -133,9 +133,9 @@ class _TimedRows:
     """State of a stream of rows from which rows without a time of their own are left out.
 
     `count` rows were passed on, the last of them at the time `last`, s; `midnights` is added to times of day, s. The
-    next table decides whether the `pending` rows leap or fall back. `falls` has the number of rows, the first row,
-    the time before it and its own time, s, of each run of rows that fall back; `blank` has gaps for blank lines between
-    counted rows. `left_out` rows were left out, of which `repeated` repeat a stamp; `first` is the first gap."""
+    next table decides whether the `pending` rows leap or fall back. `falls` has, for each run of rows that fall back,
+    the number of rows, the first row, the time before it and its own time, s; `blank` has gaps for blank lines between
+    rows. `left_out` rows were left out, of which `repeated` repeat a stamp; `first` is the first gap."""
 
     source: LogSource
     spec: LogSpec
@@ -155,7 +155,7 @@ class _TimedRows:
 
     def feed(self, rows: LogRows) -> LogRows:
         """Add the rows of the next table, and return those, with pending ones, that have a time of their own."""
-        counted = self.on_grid and not self.grid.rounded  # without regard to stamps
+        counted = self.on_grid and not self.grid.rounded  # stamps are ignored
         untimed = (None, self.spec.time) if not counted else ()
         faults = [u for u in rows.unread.values() if u.kind in (Kind.NO_ROW, Kind.CUT) or u.column in untimed]
         if faults:
@@ -199,9 +199,9 @@ class _TimedRows:
 
     @np.errstate(invalid="ignore")
     def in_order(self, rows: LogRows, *, last: bool) -> LogRows:
-        """Return rows without those that leap and those that are no later than an earlier one.
+        """Return rows without those that leap and those whose time is not after an earlier one.
 
-        Unless the rows are the `last` of the file, rows at the end that may leap or fall back become pending."""
+        Unless the rows are the `last` ones of the file, rows at the end that may leap or fall back become pending."""
         step, unsure = GAP_STEP * self.grid.interval, None
         leaps = leaping(rows.time, self.last, step)
         for at in np.flatnonzero(leaps).tolist():
@@ -213,7 +213,7 @@ class _TimedRows:
             first = len(rows.time) - len(far) + int(np.argmax(far))
             unsure, rows = rows.part(slice(first, None)), rows.part(slice(0, first))
         late = _is_late(rows.time, self.last)
-        end = len(late) - int(np.argmin(late[::-1])) if not late.all() else 0  # behind the last row that is not late
+        end = len(late) - int(np.argmin(late[::-1])) if not late.all() else 0  # after the last row that is not late
         if last or len(late) - end > MOST_GAPS - self.left_out:
             end = len(late)
         behind, self.pending = rows.part(slice(end, None)), unsure
@@ -261,7 +261,7 @@ class _TimedRows:
     def finish(self, rows: int) -> None:
         """Check the whole file, which has so many rows. Raises LogError if too many of them were left out.
 
-        Without stamps a blank line may have been a sample; many of them, or some at even distances, are layout."""
+        Without stamps a blank line may have been a sample; many blank lines, or evenly spaced ones, are layout."""
         distances = np.diff([gap.row for gap in self.blank])
         tolerated = LEFT_OUT_FREE + LEFT_OUT_SHARE * rows
         if len(self.blank) <= tolerated and (len(distances) < 2 or np.ptp(distances) > 0):
@@ -325,7 +325,7 @@ def _rounding_step(stamps: Array) -> float:
 def burst_grid(source: LogSource, spec: LogSpec, head: Array) -> Grid | None:
     """Return the grid of rows whose stamps are spread evenly over bursts.
 
-    None if the stamps `head` (m,), s, are not, or if the stamps do not stay about one straight line."""
+    None if the stamps `head` (m,), s, are not bursts, or if the stamps of the file depart from one straight line."""
     steps = np.diff(head)
     interval, scatter, changes = float(np.median(steps)), float(np.std(steps)), np.abs(np.diff(steps))
     different = len(np.unique(np.round(steps / interval, _INTERVAL_DECIMALS)))

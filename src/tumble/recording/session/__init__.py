@@ -1,7 +1,7 @@
 """A session: its device, site, log with sensors, programme, and exclusions, in SI and radians.
 
-A session is one power-on of one IMU: a folder with session.toml and the log it names, or such a description with arrays
-or frames in place of the log (`session_file`).
+A session is one power-on of one IMU: a folder with session.toml and its log, or such a description with arrays or
+frames in place of the log (`session_file`).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def sensors_from(content: Mapping[str, Any]) -> dict[str, AutopilotSensor]:
 class Device:
     """The IMU.
 
-    `systematic` is the path of the calibration file with its nominal values; `grade` the class of instrument as stated;
+    `systematic` is the path of the calibration file with its nominal values; `grade` the stated class of instrument;
     `prior` has standard deviations, SI, of groups of parameters from the data sheet; `imu` has the "accel" and "gyro"
     of an autopilot."""
 
@@ -67,7 +67,7 @@ class Device:
 
 
 AssumedGravity = Literal["nothing", "digits", "height", "place"]
-"""What a session does not state about gravity: nothing, the uncertainty of a value, the height, or the place."""
+"""Missing statement of a session about gravity: none, the uncertainty of a value, the height, or the place."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -154,8 +154,8 @@ class TemperatureChannels:
 USUAL_CLOCK_U = 30e-6
 """Default relative standard uncertainty of time stamps: crystals are off by 20 to 50 ppm over temperature and age."""
 USUAL_RATE_U = 1e-2
-"""Default relative standard uncertainty of a sample rate without time stamps: data sheets state the oscillator of a
-sensor's chip to some per cent."""
+"""Default relative standard uncertainty of a sample rate without time stamps: data sheets specify the oscillator of a
+sensor to some per cent."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -256,8 +256,8 @@ class ProgrammeSpec(SessionTable):
 class Exclusion(SessionTable):
     """A part of a session that is left out, [[exclude]].
 
-    It is a rest or a turn, numbered from 1 as in results, or the time from `start` to `stop`, s, of a file, numbered
-    from 1, the first by default. `by` is the origin of the exclusion in words."""
+    It is a rest or a turn, numbered from 1 as in results, or the time from `start` to `stop`, s, in a file, numbered
+    from 1, by default the first. `by` is the origin of the exclusion in words."""
 
     by: ClassVar[str] = "session.toml"
     rest: int | None = key("the number of a rest, from 1", ge=1)
@@ -330,8 +330,8 @@ UNKNOWN = Circumstances()
 class Session(Brief):
     """Content of session.toml, or of the description of samples in memory.
 
-    `programme` is None for a free session, whose orientations are not assumed; `folder` is None in memory;
-    `description` has the keys and values of which the session was made, as in session.toml.
+    `programme` is None for a free session, without assumptions on its orientations; `folder` is None in memory;
+    `description` has the keys and values from which the session was made, as in session.toml.
 
     >>> import numpy as np, tumble
     >>> description = {

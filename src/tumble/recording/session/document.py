@@ -1,6 +1,6 @@
 """The tables and keys of session.toml, with checks, and their conversion to SI and radians (`si`).
 
-The `description` of a key states the expected value, and messages are made from it: "session.toml: site.latitude_deg:
+Messages quote the `description` of a key, which states the expected value: "session.toml: site.latitude_deg:
 expected a number from -90 to 90, found 145.5". The validators of the tables check several keys together.
 """
 
@@ -78,7 +78,7 @@ class SiteTable(SessionTable):
             )
 
     def si(self) -> Site:
-        """Return the site in SI, with assumptions for what is not stated and their standard uncertainty.
+        """Return the site in SI, with assumptions, and their standard uncertainty, for missing values.
 
         Gravity without `gravity_u` is known to its last digit. Without gravity it is normal gravity, at sea level if
         the height is not stated; at an unknown place it is standard gravity."""

@@ -177,7 +177,7 @@ class MagnetometerTable(SessionTable):
 class TemperatureTable(SessionTable):
     """[log.temperature]: one column for all sensors, two for the accelerometers and the gyros, or one a sensor.
 
-    In a list of one a sensor, accelerometers first, a thermometer may be repeated."""
+    In a list with one per sensor, accelerometers first, a thermometer may be repeated."""
 
     columns: list[str] = Field(min_length=1, description="a list of column names")
     unit: Annotated[str, one_of([*TEMPERATURE_UNITS, RAW])] = key("the name of a unit, a string", "degC")
@@ -269,7 +269,7 @@ class LogTable(SessionTable):
             raise ValueError("time_unit: expected only with log.time, found log.rate_hz")
         if self.regular and self.time is None:
             raise ValueError("regular: expected only with log.time, found log.rate_hz, which makes rows regular")
-        # a column has one role; a thermometer may be repeated in a list of one a sensor
+        # a column has one role; a thermometer may be repeated in a list with one per sensor
         keys = {"time": [self.time] if self.time is not None else []}
         for kind, table in (("accel", self.accel), ("gyro", self.gyro), ("magnetometer", self.magnetometer)):
             keys[f"{kind}.columns"] = table.columns if table is not None else []

@@ -1,4 +1,4 @@
-"""Common parts of the tables of session.toml: strict keys and types, and checks of values."""
+"""Base class of the tables of session.toml, with strict keys and types, and checks of values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tumble.documents import is_plain, shown
 from tumble.errors import did_you_mean
 
 LONGEST_NAME = 200
-"""Characters, of a serial number and of a type."""
+"""Largest number of characters of a serial number or a type."""
 
 
 class SessionTable(BaseModel):

@@ -18,8 +18,8 @@ from typing import Any
 
 LINE_BYTES = 1 << 18
 """Longest line of a log; splitting a line into values takes four hundred times its memory."""
-FIRST_ROWS = 5  # rows that show whether a name is missing
-SEEN_BYTES = 1 << 18  # first bytes of a file that show how it is written
+FIRST_ROWS = 5  # rows from which a missing name is recognised
+SEEN_BYTES = 1 << 18  # first bytes of a file, from which its dialect is determined
 BLANKS = " "  # the delimiter for one or more blanks or tabs
 
 DELIMITERS = (",", ";", "\t", "|", BLANKS)
@@ -28,7 +28,7 @@ COMMENTS = ("#", "//", "%", "!", ";", "*")
 _TOP_LINES = 2000
 _FEWEST_NUMBERS = 3
 _ENCODINGS = {"utf-8": "", "cp1251": "[а-яё]{3}", "gb18030": "[\u4e00-\u9fff]{2}"}
-"""Encodings that are tried, with the letters that text in them must contain; a degree sign alone is Latin."""
+"""Encodings in the order of trial, with the letters that such a text must contain; a degree sign alone is Latin."""
 _BOMS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
@@ -44,7 +44,7 @@ JOINED = (
 """Dates with a time of day and uniform or no separators: 2026_6_15_18_21_44.62, 20260615 182144."""
 _JOINED = re.compile("|".join(JOINED))
 GPS_WEEK = r"(\d{3,4}):(\d{1,6}(?:\.\d+)?)"
-"""A GPS week, whole or its last digits, and the second in it."""
+"""A GPS week (all or its last digits) and the second of the week."""
 _GPS_WEEK = re.compile(GPS_WEEK)
 MONTHS = "jan", "feb", "m[aä]r|mrz", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]"
 """Beginnings of the names of months in English and German."""
@@ -54,7 +54,7 @@ NAMED_MONTH = (
     r"(?i)(?:^[a-z]{{2,3}},? +)?(?:{0}) +(?P<day>\d{{1,2}}) +"
     r"(?P<time>\d+:\d\d:\d\d)(?: [a-z]{{3,4}})? +(?P<year>\d{{4}})",
 )
-"""Dates with the name of the month: 15-Jun-2026, Jun 15, 2026, and as C prints them, Mon Jun 15 12:34:56 2026."""
+"""Dates with the name of the month: 15-Jun-2026, Jun 15, 2026, and in the form of C, Mon Jun 15 12:34:56 2026."""
 _NAMED_MONTH = [re.compile(date.format("|".join(MONTHS))) for date in NAMED_MONTH]
 
 
@@ -96,7 +96,7 @@ class Dialect:
         return self.comment is not None and line.lstrip().startswith(self.comment)
 
     def is_row(self, cells: Sequence[str]) -> bool:
-        """Return whether cells are a row: three numbers or more, and with clocks at least half of the filled cells."""
+        """Return whether cells are a row: at least three numbers, and numbers or clocks in half of the filled cells."""
         if len(cells) < _FEWEST_NUMBERS:
             return False
         numbers, filled = sum(map(self.is_number, cells)), sum(map(bool, cells))
@@ -110,7 +110,7 @@ DIALECT_KEYS = tuple(asdict(Dialect()))
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Top:
-    """Names of the columns, number of lines above the numbers, and those lines that are neither names nor units."""
+    """Names of the columns, number of lines above the numbers, and those of the lines without names and units."""
 
     names: tuple[str, ...]
     lines: int
@@ -132,7 +132,7 @@ def is_clock(cell: str) -> bool:
 def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
     """Return the top of a file by its first lines; None if they have no row of numbers.
 
-    It is cached because a file is opened several times on the way to a calibration."""
+    It is cached because a file is opened several times for a calibration."""
     rows = {i: len(cells) for i, line in enumerate(lines) if dialect.is_row(cells := dialect.cells(line))}
     if 0 in rows:  # pandas writes numbers of columns, `,0,1,2,…`
         empty, *others = dialect.cells(lines[0])
@@ -178,8 +178,8 @@ def _names(cells: Sequence[str], rows: Sequence[Sequence[str]], dialect: Dialect
 
 
 def _with_group_names(names: tuple[str, ...], above: Sequence[str]) -> tuple[str, ...] | None:
-    """Return repeated names, x, y, z, x, y, z, with the name of their group, above the first of each; None if they
-    remain repeated."""
+    """Return repeated names such as x, y, z, x, y, z with the names of their groups, which are above the first of each;
+    None if they remain repeated."""
 
     def without_units(names: Sequence[str]) -> list[str]:
         return [re.sub(r"\s*[\[(].*", "", name).lower() for name in names]
@@ -202,7 +202,7 @@ def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[
     """Return names for as many columns as most rows have.
 
     Empty names at the end are dropped if rows have no such columns. A missing name is that of the first column if it
-    numbers the rows, as R writes them, else of the last, as where rows end with a comma."""
+    numbers the rows, as written by R, else that of the last, as in rows that end with a comma."""
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else len(names)
     while len(names) > width and not names[-1]:
         names = names[:-1]
@@ -268,7 +268,7 @@ def encoding_of(seen: bytes) -> str:
     for bom, name in _BOMS.items():
         if seen.startswith(bom) and (name == "utf-8" or any(zeros)):  # else noise of a serial line
             return name
-    if max(zeros) > len(seen[:4096]) // 4 and min(zeros) < max(zeros) // 8:  # else memory that was not written
+    if max(zeros) > len(seen[:4096]) // 4 and min(zeros) < max(zeros) // 8:  # else unwritten memory
         return "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
     for name, words in _ENCODINGS.items():
         try:
@@ -285,7 +285,7 @@ def dialect_of(seen: bytes) -> tuple[Dialect, Top] | None:
     """Return the dialect of a text log and its top by its first bytes; None without rows of numbers."""
     encoding = encoding_of(seen)
     lines = head_lines(seen, encoding)
-    # the commonest mark at the start of lines, if other lines have none
+    # the most common mark at the start of lines, if other lines have none
     marks = Counter(mark for line in lines for mark in COMMENTS if line.lstrip().startswith(mark))
     mark, count = marks.most_common(1)[0] if marks else ("", 0)
     comment = mark if 0 < count < sum(bool(line.strip()) for line in lines) else None

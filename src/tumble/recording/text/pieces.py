@@ -1,7 +1,7 @@
 """Text files, decompressed and converted to UTF-8, in pieces of whole lines.
 
 Readings compress to a third or a tenth. A file that unpacks to a hundred times its size is no log and could fill memory
-or a disk: it is refused, before it is unpacked if it states its size.
+or a disk: it is refused, before unpacking if it states its size.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _FIRST_PIECE_BYTES = 1 << 18
 _PIECE_BYTES = 1 << 24
 _LONGEST_CHARACTER = 4  # bytes, in UTF-8
 _HEADER_BYTES = 18  # longest header of a frame of Zstandard
-_DEFLATE_RATIO = 1032  # largest ratio of gzip; an archive that states more was cut
+_DEFLATE_RATIO = 1032  # largest ratio of gzip; an archive that states a larger one was cut
 
 
 def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
@@ -93,7 +93,7 @@ class _Recoded(io.BufferedIOBase):
 
 def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
     """Yield the rest of a stream in pieces of whole lines, the first one small, without blank lines at its end."""
-    buffer = mmap(-1, max(_FIRST_PIECE_BYTES, _PIECE_BYTES) + LINE_BYTES)  # memory is only used where it is filled
+    buffer = mmap(-1, max(_FIRST_PIECE_BYTES, _PIECE_BYTES) + LINE_BYTES)  # only the filled part uses memory
     held, size = 0, _FIRST_PIECE_BYTES
     while True:
         with memoryview(buffer) as whole, whole[held : held + size] as free:

@@ -72,7 +72,7 @@ class TextLog(LogSource):
         return date_of(self._cell(next(self.pieces(), b""), column))
 
     def read(self, columns: Sequence[str], clock: str | None) -> Tables:
-        if missing := [column for column in columns if column not in self.names]:  # its first rows differ in width
+        if missing := [column for column in columns if column not in self.names]:  # the first rows differ in width
             raise LogError(f"{self.path}: expected a column {missing[0]}, found {', '.join(self.names)}")
         first, day, pieces = 1, None, self.pieces()
         for piece in chain(islice(pieces, 1), one_ahead(pieces)):  # often only the first one is needed
@@ -99,7 +99,7 @@ class TextLog(LogSource):
     def _at_once(self, piece: bytes, columns: Sequence[str], clock: str | None, day: int) -> pl.DataFrame | None:
         """Return the rows of a piece as polars parses them.
 
-        None if it refuses, leaves a value empty, or may have completed short rows with nulls."""
+        None if polars refuses them, leaves a value empty, or may have filled up short rows with nulls."""
         kinds = {name: pl.String if name == clock else pl.Float64 for name in columns}
         schema = {(n if n in kinds else f"\0{j}"): kinds.get(n, pl.String) for j, n in enumerate(self.names)}
         comma = self.dialect.decimal == ","
@@ -121,7 +121,7 @@ class TextLog(LogSource):
     def _line_by_line(
         self, piece: bytes, first: int, columns: Sequence[str], clock: str | None, day: int
     ) -> tuple[pl.DataFrame, list[Unread]]:
-        """Return the same as `_rows` by Python's csv and float(), with the first unreadable value of a row."""
+        """Return the result of `_rows` by Python's csv and float(), with the first unreadable value of each row."""
         ended = piece.endswith(b"\n")
         lines = piece.decode("utf-8", errors="replace").removesuffix("\n").split("\n")
         numbers = np.full((len(lines), len(columns)), np.nan)
@@ -168,8 +168,8 @@ class TextLog(LogSource):
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
         """Yield rows of all columns, `numbers` as float64.
 
-        In a stated dialect unreadable numbers are NaN and lines that are no rows are left out; otherwise polars' errors
-        are raised."""
+        With a stated dialect unreadable numbers become NaN and lines that are no rows are left out; otherwise polars'
+        errors are raised."""
         schema = {name: pl.Float64 if name in numbers else pl.String for name in self.names}
         comma = self.dialect.decimal == ","
         point = pl.col(list(numbers)).str.strip_chars()
@@ -196,7 +196,7 @@ class TextLog(LogSource):
                 stream.readline(LINE_BYTES)
             for piece in whole_lines(stream, self.path):
                 piece = piece.removeprefix(codecs.BOM_UTF8) if self.top == 0 else piece
-                piece = piece.replace(b"\0", b"") if b"\0" in piece else piece  # as the reset of a logger leaves them
+                piece = piece.replace(b"\0", b"") if b"\0" in piece else piece  # left by the reset of a logger
                 yield _with_tabs(piece) if self.dialect.delimiter == BLANKS else piece
 
     @property

@@ -23,8 +23,8 @@ from tumble.views.render.characters import drawable, printed, visible
 
 
 def page(document: Document) -> str:
-    """Return the HTML of a document. All text is escaped, in CSS every character by its code; only figures, which
-    contain no text, are markup, without name spaces."""
+    """Return the HTML of a document. All text is escaped, in CSS every character by its code; only figures are markup,
+    without text and name spaces."""
     environment = escaping_environment("tumble.views.render")
     environment.filters["inline"] = lambda svg: Markup(
         re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg).replace(" xlink:href=", " href=")

@@ -2,7 +2,7 @@
 
 If a table is wider than the terminal, its headings are broken between words; if that is not enough, it becomes several
 tables below each other, each with the first column, which names the rows. Numbers are never cut or broken; if not even
-one column fits beside the first, the names in that are broken.
+one column fits beside the first, the names in the first column are broken.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from tumble.views.numbers import NONE, device_name, fixed, significant
 from tumble.views.report import application, over_temperature, recording, result
 from tumble.views.uncertainty_budget import budget_section
 
-_MAX_TIMES = 3  # of more recordings only the days are listed
+_MAX_TIMES = 3  # times listed in full; with more recordings only the days are listed
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -134,7 +134,7 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
 
 
 def _titles(calibrations: Sequence[Calibration]) -> list[str]:
-    """Name calibrations by their methods, if these are equal also by a number and the date of the recording."""
+    """Name calibrations by their methods, and if these are equal also by a number and the date of the recording."""
     titles = [calibration.method for calibration in calibrations]
     if len(set(titles)) == len(titles):
         return titles

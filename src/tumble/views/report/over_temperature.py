@@ -1,4 +1,4 @@
-"""Section of a report on parameters over temperature, with U in the measured range, and extrapolations set apart."""
+"""Section of a report on parameters over temperature, with U in the measured range and marked extrapolations."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure as Canvas
 
-MIN_PARTS = 5  # of a rest that is drawn
+MIN_PARTS = 5  # fewest parts of a rest that is drawn
 EXTRAPOLATION = 0.12  # extent of the picture beyond the measured range, as a fraction of it
 
 

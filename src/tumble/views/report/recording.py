@@ -29,7 +29,7 @@ _MAX_UNHALVED_TURNS = 8  # rows; a longer table of turns is set in halves
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class RecordedSession:
-    """A session of a calibration, with what was `recorded` in it; with several launches each has a `title`."""
+    """A session of a calibration with the evidence `recorded` in it; with several launches each has a `title`."""
 
     title: str
     calibration: Calibration
@@ -44,7 +44,7 @@ class RecordedSession:
         return unit_vector(self.calibration.accel.apply(np.array(readings)))
 
     def positions(self) -> list[Position | None]:
-        """Return the programme's position at every rest; None for an attitude that is not one."""
+        """Return the programme's position at every rest; None for an attitude that is not in the programme."""
         positions: list[Position | None] = []
         for rest in self.recorded.rests:
             try:
@@ -67,7 +67,7 @@ def recordings(calibration: Calibration) -> list[RecordedSession]:
 
 
 def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
-    """Return place and gravity with its uncertainty."""
+    """Return the place, and gravity with its uncertainty."""
     if site is None:
         return (("site", "not in the calibration file"),)
     gravity = f"{fixed(site.gravity, 7)} m/s², U = {significant(2.0 * site.gravity_u, 2)} m/s² (k = 2)"

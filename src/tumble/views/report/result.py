@@ -44,11 +44,11 @@ from tumble.views.report.application import added_terms
 from tumble.views.report.figures import before_and_after
 
 Cells = Callable[[Parameter, float], dict[str, str]]
-"""Function of a parameter and the size of its display unit in SI, which returns further cells by heading."""
+"""Function that returns further cells by heading for a parameter and the size of its display unit in SI."""
 
 _LISTED_CORRELATIONS = 8
-_MAX_ROWS = 26  # of the table of results, on the first page
-_MAX_LARGE_COLUMNS = 9  # for which a page has room in the larger type
+_MAX_ROWS = 26  # rows of the table of results on the first page
+_MAX_LARGE_COLUMNS = 9  # columns that fit on a page in the larger type
 
 
 def result(calibration: Calibration, name: str) -> Section:
@@ -127,7 +127,7 @@ def value_blocks(calibration: Calibration, further: Cells | None = None) -> list
 
 
 def _parameter_table(calibration: Calibration, further: Cells | None) -> Table:
-    """Return the linear parameters with U; if any, with coverage factors other than 2, and with deviations from the
+    """Return the linear parameters with U and, if any, coverage factors other than 2, and deviations from the
     systematic values and between launches."""
     parameters = linear_parameters(calibration.parameters)
     factors = has_other_factors(parameters)
@@ -148,8 +148,8 @@ def _parameter_table(calibration: Calibration, further: Cells | None) -> Table:
 
 
 def beyond(calibration: Calibration, *, groups: bool) -> Section | None:
-    """Return the parameters beyond the linear model; with `groups` also a line for each group and what priors
-    decide."""
+    """Return the parameters beyond the linear model; with `groups` also a row for each group and the biases decided by
+    priors."""
     further = further_parameters(calibration.parameters)
     group_lines = group_table(calibration, on_page=True)
     if not (group_lines.rows if groups else further):
