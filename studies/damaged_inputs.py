@@ -1,7 +1,7 @@
 """What becomes of a damaged input file: the fuzzer of the project.
 
 Every case damages one input file of a small set (sessions, with thermometers, priors and what is left out too, logs,
-table of readings, calibrations, halves of them, truth, limits, campaign, manifest, certificate and laboratory, a
+table of readings, calibrations, halves of them, truth, limits, campaign, certificate and laboratory, a
 registry, recordings in every format, what a serial port sends, Parquet with nested columns), or another one beside it,
 puts something in its place that is no regular file, or gives an absurd value to an option, or the options in another
 order, and runs one command in this process. Case n of a seed is always the same, whatever ran before. A case is
@@ -519,7 +519,6 @@ TARGETS = (
     Target(file="certificate.toml", commands=(CERTIFY,)),
     Target(file="laboratory.toml", weight=0.5, commands=(CERTIFY.replace("certificate.toml", "by-laboratory.toml"),)),
     Target(file="campaign.toml", weight=0.25, commands=("campaign {}/campaign.toml --in-process -o {out}/campaign",)),
-    Target(file="manifest.txt", weight=0.2, commands=("fleet {}/manifest.txt --in-process -o {out}/fleet",)),
     Target(
         file="readings.csv",
         weight=2.0,
@@ -660,7 +659,6 @@ def write_inputs(folder: Path) -> None:
     for name, text in TEXTS.items():
         (folder / f"{name}.toml").write_text(text, encoding="utf-8")
     _of_accelerometers(folder / "csv", folder / "still")
-    (folder / "manifest.txt").write_text("# a comment\nstill\n", encoding="utf-8")
     registry = f"--registry {folder}/r.sqlite"
     _invoked(f"registry limits BCHE-501 {folder}/limits.toml {registry}")
     for name in ("calibration", "other"):

@@ -73,7 +73,7 @@ WRITERS = {
     "registry add": "registry add {in}/calibration.json --registry {out}/n.sqlite",
     "registry show": "registry show 1 -o {out}/n.json --registry {in}/r.sqlite",
     "campaign": "campaign {in}/campaign.toml --in-process -o {out}/n",
-    "fleet": "fleet {in}/manifest.txt --in-process -o {out}/n",
+    "fleet": "fleet {in}/stil* --in-process -o {out}/n",
     "selftest": "selftest -o {out}/n.json",
 }
 """A command that writes, of each family, by its name."""
@@ -476,18 +476,11 @@ class _Knocked(http.server.BaseHTTPRequestHandler):
 
 
 def inputs_of_others(bench: Bench, _: dict[str, str]) -> Found:
-    """URLs in manifests, XML with entities, pickles."""
+    """URLs in sessions, XML with entities, pickles."""
     with http.server.HTTPServer(("127.0.0.1", 0), _Knocked) as server:
         server.knocked = False  # type: ignore[attr-defined]
         threading.Thread(target=server.serve_forever, daemon=True).start()
         host = f"127.0.0.1:{server.server_address[1]}"
-        for url in ("file:///etc", "/etc", "ftp://127.0.0.1/s", f"http://{host}/s", f"simplecache::http://{host}/s"):
-            bench.emptied()
-            (bench.inputs / "urls.txt").write_text(f"{url}\n", encoding="utf-8")
-            ended = bench.run("fleet {in}/urls.txt --in-process -o {out}/n")
-            failed = "" if ended.status == 1 and "failed: " in ended.err else "not in its row"
-            yield f"fleet, {url.partition('/')[0]} in a manifest", ended.fault() or failed
-        server.knocked = False  # type: ignore[attr-defined]
         for key in ("log.file", "device.systematic"):
             found = _pointed_elsewhere(bench, key, f"http://{host}/s")
             yield f"inspect, {key} at a URL", found or ("it went there" if server.knocked else "")

@@ -132,7 +132,9 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
         + [cause.p_value for of_session in causes for cause in of_session]
     )
     varying = list(_varying_parameters(estimate, linearised))
-    usual = {h.name.removesuffix("_in_run"): h.usual for h in estimate.hyperparameters}
+    usual = {
+        h.name.removesuffix("_in_run"): _usual_size(h, linearised, UNUSUAL_RATIO) for h in estimate.hyperparameters
+    }
     reported = {kind for finding in varying for kind in finding.kinds if finding.causes != ("scale-factor drift",)}
     by_session = [
         list(_session_findings(linearised, *of_session, limit, usual, reported))
@@ -350,14 +352,27 @@ def _unusual_groups(estimate: Estimate) -> Iterator[Finding]:
         yield Finding(sentence=sentence, concerns=(kind,), causes=tuple(groups))
 
 
+def _longest_session(linearised: Linearisation) -> float:
+    """Return the time from the first rest of a session to its last, s, of the longest session."""
+    rests = linearised.problem.observations.rests
+    parts = [part.rests for part in linearised.problem.parts]
+    return max(float(rests.stop[part].max() - rests.start[part].min()) for part in parts)
+
+
+def _usual_size(size: HyperparameterEstimate, linearised: Linearisation, drifts: float = 1.0) -> float:
+    """Return the usual size of a hyperparameter; that of an in-run bias contains so many times the usual drift d over
+    the session, d T/√12, if the process includes the drift."""
+    drift = drifts * linearised.problem.observations.drift.get(size.name.removesuffix("_in_run"), 0.0)
+    return float(np.hypot(size.usual, drift * _longest_session(linearised) / np.sqrt(12.0))) if drift else size.usual
+
+
 def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterator[Finding]:
     """Yield drifts of biases and scale factors, and in-run biases, that are far larger than usual."""
     by_name, problem = {h.name: h for h in estimate.hyperparameters}, linearised.problem
-    rests = problem.observations.rests
-    longest = max(float(rests.stop[p.rests].max() - rests.start[p.rests].min()) for p in problem.parts)
+    longest = _longest_session(linearised)
 
     def is_unusual(size: HyperparameterEstimate | None) -> bool:
-        return size is not None and size.low > UNUSUAL_RATIO * size.usual
+        return size is not None and size.low > UNUSUAL_RATIO * _usual_size(size, linearised)
 
     def largest_drift(name: str) -> float:
         """Return the largest change per second of a group of the instrument or of the sessions."""
@@ -385,9 +400,8 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
             continue
         in_run = with_unit(size.value, unit)
         if is_unusual(size) and not is_unusual(by_name.get(f"{kind}.bias.drift")):
-            sentence = (
-                f"biases of the {words} wander by {in_run} in the session, where {with_unit(size.usual, unit)} is usual"
-            )
+            usual = with_unit(_usual_size(size, linearised), unit)
+            sentence = f"biases of the {words} wander by {in_run} in the session, where {usual} is usual"
             lasting = time.value > longest
             if lasting:
                 sentence += ", and last longer than the session: a drift, or warm-up after power-on; switch on earlier"

@@ -109,6 +109,9 @@ class Observations(Brief):
     too_small: Mapping[str, float] = field(default_factory=dict)  # by which factor the usual size may be too small
     links: Links | None = None  # motion from node to node that is no turn between rests
     in_run: Mapping[str, float] = field(default_factory=dict)  # usual in-run bias, standard deviation, SI, by kind
+    drift: Mapping[str, float] = field(
+        default_factory=dict
+    )  # usual drift of biases in the in-run process, SI/s, by kind
 
     @property
     def session(self) -> IntArray | None:

@@ -44,7 +44,7 @@ from tumble.run.warming import calibrate_warming, is_still
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
-from tumble.sensors.parameters import Terms, prior_sizes
+from tumble.sensors.parameters import Terms, prior_sizes, usual_sizes
 from tumble.units import G_STANDARD
 
 _LOG = logging.getLogger(__name__)
@@ -301,7 +301,7 @@ def with_grade(session: Session, observations: Observations) -> Observations:
     device."""
     grade, guessed_from = grade_of(session, observations)
     sheet, noise = session.device.prior, grade_named(grade).noise
-    sizes = prior_sizes(grade, sheet)
+    sizes, usual = prior_sizes(grade, sheet), usual_sizes(grade)
     note = f"errors other than bias, scale factor and axis angles have the size usual for the grade {grade}"
     origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
     basis = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
@@ -311,6 +311,7 @@ def with_grade(session: Session, observations: Observations) -> Observations:
         size_basis={name: "data sheet" if name in sheet else basis for name in sizes},
         too_small=size_factors(grade, sizes, sheet, guessed=bool(guessed_from)),
         in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
+        drift={kind: usual[f"{kind}.bias.drift"] for kind in ("accel", "gyro") if f"{kind}.bias.drift" not in sizes},
         notes=(*observations.notes, note + origin),
     )
 
