@@ -1,4 +1,4 @@
-"""Joint maximum of the likelihood over the unknowns x and the hyperparameters φ.
+"""Maximum of the posterior ℓ(φ) of the hyperparameters, with the unknowns x integrated out.
 
 x are gravity, the parameters, those of each session, the attitudes and the states of the in-run biases: the problem is
 linear, or nearly so, in x given φ (`tumble.inference.hyperparameters`). The function to maximise is the logarithm of
@@ -151,7 +151,7 @@ def maximise(
     robust: bool = False,
     known: Maximum | None = None,
 ) -> Maximum:
-    """Find the joint maximum of ℓ over x and φ.
+    """Find the φ that maximises ℓ(φ), linearising again until x and φ settle.
 
     Parameters
     ----------

@@ -92,8 +92,8 @@ def calibrate(
     session
         A session or the path of its folder; None for readings given as `accel=…, gyro=…, rate=…`.
     method
-        `joint`, maximum likelihood of all readings; `sequential`, `scalar` and `scalar-nominal`, the methods of the
-        paper, the last in the attitudes of the programme; `ellipsoid`, accelerometers alone, without attitudes.
+        `joint`, one estimate from all readings with priors; `sequential`, `scalar` and `scalar-nominal`, the methods of
+        the paper, the last in the attitudes of the programme; `ellipsoid`, accelerometers alone, without attitudes.
     iterations
         Number of passes of the methods of the paper; default 2.
     frame

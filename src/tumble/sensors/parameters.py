@@ -12,7 +12,8 @@ Everything that deals with parameters loops over the table, parameters.toml: est
 frames, the calibration file, terminal, report, registry and limits. A further group is one entry, or one of another
 package (`tumble.plugins`).
 
-The groups are those of docs/explanation/mathematics.md (1) and (2); their usual sizes are from data sheets.
+The groups are those of docs/explanation/mathematics.md (1) and (2); their usual sizes are from data sheets, for
+MEMS from recordings (`source`).
 """
 
 from __future__ import annotations

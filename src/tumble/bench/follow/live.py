@@ -28,7 +28,7 @@ _MAX_FAULTS = 64  # kept faults of samples; an unsteady source can cause one per
 
 
 class Live:
-    """Follows the log of a task through the same reduction as a calibration.
+    """Follows the log of a task by the same reduction to blocks as a calibration.
 
     `now` is the progress, None before the first block; `faults` are the latest faults of samples, of which `samples`
     were read and `lost` are missing. `at` bytes were read of the current one of the `files`, whose number may grow.
