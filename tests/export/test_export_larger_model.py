@@ -14,7 +14,7 @@ import pytest
 from tests.export.test_export_c import PROGRAM, compiled, gcc
 from tests.export.test_tables import read_csv, read_mat
 from tests.result.test_applied_correction import by_formula
-from tests.sensors.test_made_up_group import by_square
+from tests.sensors.test_made_up_group import g_squared
 from tests.support.calibrated import HEXAD, calibration, warmed
 from tests.support.exports import FORMATS, beside
 from tests.use.test_applied_model import larger, read, truth
@@ -24,7 +24,7 @@ from tumble.result.correction import best_linear_model, session_rate
 from tumble.rotation import unit_vector
 from tumble.sensors import parameters
 from tumble.sensors.model import SensorModel
-from tumble.sensors.parameters import ParameterGroup, group_name, groups
+from tumble.sensors.parameters import group_name, groups
 from tumble.units import DEGREE, G_STANDARD, Array
 
 __all__ = ["gcc"]
@@ -80,17 +80,7 @@ def test_the_header_applies_slopes_at_a_temperature_as_the_library_does(
 def test_header_and_formula_apply_a_group_of_gyros_by_products_of_forces(
     tmp_path: Path, gcc: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    group = ParameterGroup(
-        name="gyro.g2",
-        kind="gyro",
-        unit="rad s^3/m^2",
-        words="gyros by the square of the force along Z",
-        suffixes=lambda block: block.sensors,
-        limit=1e-3,
-        usual={"mems": 1e-4},
-        regressors=by_square(2),
-    )
-    monkeypatch.setattr(parameters, "FURTHER", [*parameters.FURTHER, group])
+    monkeypatch.setattr(parameters, "FURTHER", [*parameters.FURTHER, g_squared(1e-4)])
     made, instrument, values = larger()
     force, rate = truth(1)
     accel, gyro = read(instrument, values, force, rate)

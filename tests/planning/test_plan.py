@@ -31,7 +31,7 @@ from tumble.units import DEGREE
 SETUP = device_setup(latitude=56.84 * DEGREE, gravity=9.8157883)
 NINE = replace(SETUP, programme=programme("nine"))
 FACES = from_attitudes([position.attitude for position in programme("cube-26").positions[:6]])
-HELD = TurnTable.of("N,U", 45.0)
+HELD = TurnTable(axes="NU", by_hand=False)
 
 
 # -------------------- what will be stated --------------------
@@ -148,12 +148,12 @@ def turns_there(one: NextPosition, setup: Setup) -> bool:
 
 @pytest.mark.parametrize(
     ("axes", "step", "place"),
-    [("N,X", 45.0, "axes"), ("N,N", 45.0, "axes"), ("", 45.0, "axes"), (None, 7.0, "step"), (None, 1.0, "step"),
-     (None, float("nan"), "step"), ("N", -45.0, "step")],
+    [("NX", 45.0, "axes"), ("NN", 45.0, "axes"), ("", 45.0, "axes"), ("NUE", 7.0, "step"), ("NUE", 1.0, "step"),
+     ("NUE", float("nan"), "step"), ("N", -45.0, "step")],
 )  # fmt: skip
-def test_a_table_that_does_not_exist_is_refused(axes: str | None, step: float, place: str) -> None:
+def test_a_table_that_does_not_exist_is_refused(axes: str, step: float, place: str) -> None:
     with pytest.raises(InputError, match=place):
-        TurnTable.of(axes, step)
+        TurnTable(axes=axes, step=step * DEGREE)
 
 
 # -------------------- what a wanted accuracy needs --------------------

@@ -45,6 +45,20 @@ def by_square(axis: int) -> Callable[[Block], Array]:
     return regressors
 
 
+def g_squared(size: float) -> ParameterGroup:
+    """The sensitivity of gyros to the square of the force along Z."""
+    return ParameterGroup(
+        name="gyro.g2",
+        kind="gyro",
+        unit="rad s^3/m^2",
+        words="gyros by the square of the force along Z",
+        suffixes=lambda block: block.sensors,
+        limit=1e-3,
+        usual=dict.fromkeys(("navigation", "tactical", "mems", "consumer"), size),
+        regressors=by_square(2),
+    )
+
+
 @pytest.fixture(autouse=True)
 def made_up(monkeypatch: pytest.MonkeyPatch) -> ParameterGroup:
     """The group, in the table while a test runs."""
@@ -65,17 +79,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch) -> ParameterGroup:
 def test_gyros_have_one_of_products_of_forces(monkeypatch: pytest.MonkeyPatch) -> None:
     """A g²-sensitivity of 30 °/h/g², which turns by far more than first order leaves to what is integrated anew."""
     size = float(np.radians(30.0)) / 3600.0 / 9.81**2
-    group = ParameterGroup(
-        name="gyro.g2",
-        kind="gyro",
-        unit="rad s^3/m^2",
-        words="gyros by the square of the force along Z",
-        suffixes=lambda block: block.sensors,
-        limit=1e-3,
-        usual=dict.fromkeys(("navigation", "tactical", "mems", "consumer"), size),
-        regressors=by_square(2),
-    )
-    monkeypatch.setattr(parameters, "FURTHER", [*parameters.FURTHER, group])
+    monkeypatch.setattr(parameters, "FURTHER", [*parameters.FURTHER, g_squared(size)])
     scenario = drawn()
     estimate = joint(simulate_observations(scenario, np.random.default_rng(5)), intervals=False)
     assert estimate.converged

@@ -359,10 +359,12 @@ def _longest_session(linearised: Linearisation) -> float:
     return max(float(rests.stop[part].max() - rests.start[part].min()) for part in parts)
 
 
-def _usual_size(size: HyperparameterEstimate, linearised: Linearisation, drifts: float = 1.0) -> float:
-    """Return the usual size of a hyperparameter; that of an in-run bias contains so many times the usual drift d over
-    the session, d T/√12, if the process includes the drift."""
-    drift = drifts * linearised.problem.observations.drift.get(size.name.removesuffix("_in_run"), 0.0)
+def _usual_size(size: HyperparameterEstimate, linearised: Linearisation, drift_factor: float = 1.0) -> float:
+    """Return the usual size of a hyperparameter.
+
+    That of an in-run bias includes the standard deviation d T/√12 of a drift over the session, where d is
+    `drift_factor` times the usual drift, if the process includes the drift."""
+    drift = drift_factor * linearised.problem.observations.drift.get(size.name.removesuffix("_in_run"), 0.0)
     return float(np.hypot(size.usual, drift * _longest_session(linearised) / np.sqrt(12.0))) if drift else size.usual
 
 

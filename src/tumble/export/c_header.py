@@ -32,7 +32,7 @@ from tumble.export.exported import Exported, example_line, models, notes_of, num
 from tumble.export.templates import render_layout
 from tumble.reduction.rests.thermometer import followed
 from tumble.result.calibration import Calibration
-from tumble.result.correction import examples, nonlinear_tables, thermal_tables
+from tumble.result.correction import BY_FORCE, examples, nonlinear_tables, thermal_tables
 from tumble.result.temperature_curves import measured_range, thermal_parameters, thermometer_notes
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.model import UNITS, SensorKind, SensorModel
@@ -54,8 +54,6 @@ HELD_OVER_TEMPERATURE = frozenset(
 
 TRUE_QUANTITY: Mapping[SensorKind, str] = {"accel": "true specific force", "gyro": "true angular rate"}
 
-BY_FORCE = frozenset({"by_force", "by_products"})  # tables of terms of the gyros that need the specific force
-
 
 def c_header(calibration: Calibration) -> Exported:
     """Return the header of a calibration."""
@@ -67,7 +65,7 @@ def c_header(calibration: Calibration) -> Exported:
     comments = origin(calibration)
     for kind, worked in examples(compensator, list(by_kind)).items():
         force = " in that specific force" if "accel" in by_kind else " without a specific force"
-        where = force if BY_FORCE & nonlinear_tables(compensator, kind).keys() else ""
+        where = force if BY_FORCE.keys() & nonlinear_tables(compensator, kind).keys() else ""
         comments.append(example_line(kind, worked.reading, worked.true, where=where))
     if thermal:
         measured = measured_range(calibration)
@@ -125,8 +123,8 @@ def _function(
     number, n, beyond = "float" if single else "double", len(model.bias), nonlinear_tables(compensator, kind)
     tables = {"bias": model.bias, "inverse": model.inverse()} | beyond
     several, reference = False, ""
-    needs = " and the true specific force, m/s^2" if BY_FORCE & beyond.keys() else ""
-    argument = f"const {number} force[3], " if BY_FORCE & beyond.keys() else ""
+    needs = " and the true specific force, m/s^2" if BY_FORCE.keys() & beyond.keys() else ""
+    argument = f"const {number} force[3], " if BY_FORCE.keys() & beyond.keys() else ""
     if at is not None:
         several = len(set(at.temperature.thermometers.get(kind, ()))) > 1
         warm = thermal_tables(compensator, kind)

@@ -33,10 +33,10 @@ NU = 4.0  # ν: degrees of freedom of a robust fit
 LEAST_WEIGHT = 0.1  # weight below which rows are left out
 # Probability of the farthest of all rests and turns by chance, below which a robust fit is made. If one turn of
 # fourteen spoils the scale of all, it is never beyond 3.9 sigmas.
-STANDS_OUT = 0.1
-LEFT_OUT = (1e-6, 1e-6, 1e-6, 1e-12, 1e-12)  # weights of outliers by group: a magnetometer near steel errs by 1000 σ
-FREE = 0.01  # variance of a residual, relative to its noise, below which a direction has no information
-ROUNDED = 1e-9  # variance, relative to the largest, below which a direction is rounding
+OUTLIER_PROBABILITY = 0.1
+OUTLIER_WEIGHTS = (1e-6, 1e-6, 1e-6, 1e-12, 1e-12)  # by group; a magnetometer near steel errs by 1000 σ
+INFORMATIVE_VARIANCE = 0.01  # variance of a residual, relative to its noise, below which a direction has no information
+ROUNDING_VARIANCE = 1e-9  # variance, relative to the largest, below which a direction is rounding
 LEAST_CHANCE = 1e-300
 
 # For accelerometers at rest (N,), gyros at rest (N,), turns (K,), and the magnetometer at rests (N,) and at nodes
@@ -76,11 +76,11 @@ def _falls(W: Array, after: tuple[Array, Array], kept: Array, rows: slice) -> tu
     noise = np.linalg.inv(back @ W)[:, rows, rows]  # covariance, weights included
     size = np.sqrt(np.diagonal(noise, axis1=1, axis2=2))
     variance, directions = np.linalg.eigh(Q * size[:, :, None] * size[:, None, :])
-    free = variance > FREE
+    free = variance > INFORMATIVE_VARIANCE
     square = ((pull * size)[:, None] @ directions)[:, 0] ** 2
     fall, count, weight = (square / np.where(free, variance, np.inf)).sum(axis=1), free.sum(axis=1), kept[:, rows]
     if len(out := np.flatnonzero(weight.min(axis=1) < 1.0)):
-        valid = variance[out] > ROUNDED * variance[out].max(axis=1, keepdims=True)
+        valid = variance[out] > ROUNDING_VARIANCE * variance[out].max(axis=1, keepdims=True)
         spread, along = 1.0 / np.where(valid, variance[out], 1.0), directions[out] * valid[:, None]
         added = noise[out] / size[out][:, :, None] / size[out][:, None, :]
         added *= 1.0 - weight[out][:, :, None] * weight[out][:, None, :]

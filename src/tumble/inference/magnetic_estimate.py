@@ -20,7 +20,7 @@ from itertools import permutations, product
 import numpy as np
 
 from tumble.inference.estimate import DETERMINED, Fit
-from tumble.inference.fits import LEFT_OUT, MAGNETOMETER, chi_squares, left_out, sigmas, weighted
+from tumble.inference.fits import MAGNETOMETER, OUTLIER_WEIGHTS, chi_squares, left_out, sigmas, weighted
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.magnetometer import DIP, Magnetometer
 from tumble.inference.maximum import Maximum, reintegrated_turns, take_step
@@ -154,7 +154,7 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
         start.about,
     )
     loose, begun = VarianceComponents(mag=LOOSE * field), linearise(problem, point, about)
-    weights = _weights(problem, begun.noise, np.where(kept, 1.0, LEFT_OUT[-1]))
+    weights = _weights(problem, begun.noise, np.where(kept, 1.0, OUTLIER_WEIGHTS[-1]))
     for _ in range(FIRST_STEPS):
         point, _ = take_step(solve(replace(begun, noise=begun.noise.weighted(*weights)), loose))
         about = reintegrated_turns(problem, point, about)

@@ -33,8 +33,8 @@ import scipy
 
 from tumble.inference.fits import (
     LEAST_WEIGHT,
-    LEFT_OUT,
-    STANDS_OUT,
+    OUTLIER_PROBABILITY,
+    OUTLIER_WEIGHTS,
     chi_square_falls,
     sigmas,
     student_weights,
@@ -306,13 +306,14 @@ def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maxim
     """Return the maximum without rests and turns that are outliers; `fitted` itself if there are none."""
     distances = np.concatenate(sigmas(fitted.solution)[: 3 if fitted.problem.magnetometer is None else 5])
     whole = fitted.linearisation.noise.whole
-    if whole and (not len(distances) or 2.0 * scipy.special.ndtr(-distances.max()) * len(distances) > STANDS_OUT):
+    p_value = 2.0 * scipy.special.ndtr(-distances.max(initial=0.0)) * len(distances)
+    if whole and (not len(distances) or p_value > OUTLIER_PROBABILITY):
         return fitted
     robust = maximise(fitted.linearisation, fitted.phi, iterations, robust=True)
     outliers = [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(robust.solution))]
     if whole and not any(group.any() for group in outliers):
         return fitted
-    weights = [np.where(group, weight, 1.0) for group, weight in zip(outliers, LEFT_OUT, strict=True)]
+    weights = [np.where(group, weight, 1.0) for group, weight in zip(outliers, OUTLIER_WEIGHTS, strict=True)]
     noise = weighted(fitted.usual_problem, robust.linearisation.noise, weights)
     return maximise(replace(robust.linearisation, noise=noise), robust.phi, iterations)
 

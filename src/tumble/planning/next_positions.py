@@ -41,22 +41,19 @@ class TurnTable:
     step: float = 45.0 * DEGREE  #: rad, a part of 90°
     by_hand: bool = True  #: otherwise the device stays mounted, and every move is one turn about one of the axes
 
-    @staticmethod
-    def of(axes: str | None, step_deg: float, programme: Programme | None = None) -> TurnTable:
-        """Return the table with axes such as "N,U", on which the device stays mounted.
-
-        With None it is that of a programme: it has the axes of the programme's turns, and the device is mounted by hand
-        in any of 24 ways; without such turns it is held by hand. Raises InputError."""
+    def __post_init__(self) -> None:
+        step_deg = self.step / DEGREE
         if not step_deg >= SMALLEST_STEP or abs(90.0 / step_deg - round(90.0 / step_deg)) > 1e-9:
             raise InputError(f"step: expected a part of 90 degrees, at least {SMALLEST_STEP:g}, found {step_deg:g}")
-        if axes is None:
-            turned = [] if programme is None else [move.axis for move in programme.moves if move.axis is not None]
-            turn_axes = "".join(letter for i, letter in enumerate(_AXES) if any(axis[i] for axis in turned))
-            return TurnTable(axes=turn_axes or _AXES, step=step_deg * DEGREE)
-        letters = [letter.strip().upper() for letter in axes.split(",")]
-        if not set(letters) <= set(_AXES) or len(set(letters)) < len(letters):
-            raise InputError(f"axes: expected some of N, U, E, as in N,U, found {axes!r}")
-        return TurnTable(axes="".join(letters), step=step_deg * DEGREE, by_hand=False)
+        if not self.axes or not set(self.axes) <= set(_AXES) or len(set(self.axes)) < len(self.axes):
+            raise InputError(f"axes: expected some of N, U, E, as in NU, found {self.axes!r}")
+
+    @staticmethod
+    def of_programme(programme: Programme) -> TurnTable:
+        """Return the table of a programme: it has the axes of the programme's turns, all three without such turns, and
+        the device is mounted by hand in any of 24 ways."""
+        turned = [move.axis for move in programme.moves if move.axis is not None]
+        return TurnTable(axes="".join(a for i, a in enumerate(_AXES) if any(axis[i] for axis in turned)) or _AXES)
 
     def positions(self, last: Position) -> tuple[Position, ...]:
         """Return the positions that are possible after the last one: the 24 ways along north, up and east, these turned
@@ -152,7 +149,7 @@ def next_positions(
     fold(equations.session_factors[0], triangle)
     before = float(criterion(triangle[None])[0])
 
-    end, table = setup.programme.positions[-1], table or TurnTable.of(None, 45.0, setup.programme)
+    end, table = setup.programme.positions[-1], table or TurnTable.of_programme(setup.programme)
     positions = table.positions(end)
     places, moves, turned = table.moves(end.matrix, np.array([position.matrix for position in positions]))
     if not len(places):

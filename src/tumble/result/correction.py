@@ -113,6 +113,7 @@ def _without(calibration: CalibrationData, held: Container[str]) -> CalibrationD
 _SYMBOLS: dict[SensorKind, str] = {"accel": "f", "gyro": "w"}
 _EXAMPLES = {"accel": (0.5, -1.0, 9.7), "gyro": (0.1, -0.2, 0.3), "mag": (0.4, -0.2, 0.3)}
 """True vectors of the examples, roughly, SI or in the unit of the field."""
+BY_FORCE = {"by_force": FORCE, "by_products": PRODUCTS}  # terms of the gyros in the specific force, and their columns
 _TERMS = {
     "quadratic": "quadratic · ({0}x², {0}x {0}y, {0}x {0}z, {0}y², {0}y {0}z, {0}z²)",
     "cubic": "cubic s³",
@@ -161,8 +162,7 @@ def nonlinear_tables(compensator: Compensator, kind: SensorKind) -> dict[str, Ar
     tables = {"axis": block.axes, "asymmetry": K[:, OWN_SIZE], "cubic": K[:, OWN_CUBE]}
     if kind == "accel":
         return tables | {"quadratic": K[:, PRODUCTS]}
-    by_force = {"by_force": K[:, FORCE], "by_products": K[:, PRODUCTS]}
-    return tables | {name: table for name, table in by_force.items() if np.any(table)}
+    return tables | {name: K[:, columns] for name, columns in BY_FORCE.items() if np.any(K[:, columns])}
 
 
 def thermal_tables(compensator: Compensator, kind: SensorKind) -> dict[str, Array]:
@@ -207,7 +207,7 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
             )
         content = {"formula": formula, "unit": UNITS[kind]} | {name: table.tolist() for name, table in tables.items()}
         example = {"y": worked.reading.tolist(), symbol: worked.true.tolist()}
-        if {"by_force", "by_products"} & tables.keys():
+        if BY_FORCE.keys() & tables.keys():
             example["f"] = worked.force.tolist()
         out[kind] = content | {"example": example}
         if terms:

@@ -12,7 +12,7 @@ Everything that deals with parameters loops over the table, parameters.toml: est
 frames, the calibration file, terminal, report, registry and limits. A further group is one entry, or one of another
 package (`tumble.plugins`).
 
-The groups are those of docs/explanation/mathematics.md (1) and (2); their usual sizes are from data sheets, for
+The groups are those of docs/explanation/mathematics.md (1) and (2). Their usual sizes are from data sheets, and for
 MEMS from recordings (`source`).
 """
 

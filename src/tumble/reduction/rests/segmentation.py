@@ -22,8 +22,9 @@
 5. If nearly all stretches are too short, the log is searched again with windows of half a second and margins of a
    tenth; a rest then lasts at least `short_rest` between its margins. If nothing rests, windows of two tenths find
    moments of rest, which are only reported as too short.
-6. A stretch in which the vertical moves by more than `tilt`, plus what the temperature change of the accelerometer
-   biases allows, is no rest: if nothing rests, the floors are those of motion.
+6. A stretch in which the vertical moves by more than `tilt`, plus the change allowed for the temperature of the
+   accelerometer biases, is not a rest. In a log without rests the floors are those of motion, so that a slow turn
+   passes the tests above.
 
 Without gyros, the accelerometer scatter decides, together with the step between the means of neighbouring seconds,
 which reveals a turn about a nearly vertical axis by its small tilt.
