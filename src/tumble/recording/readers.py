@@ -192,7 +192,7 @@ def write_tables(path: Path, tables: Iterator[pl.DataFrame], *, header: bool = T
     def source(*_: object) -> Iterator[pl.DataFrame]:
         try:
             yield from chain([first], tables)  # polars may drop the source in any thread; a chain needs no closing
-        except (Exception, KeyboardInterrupt) as error:  # polars would replace or drop it
+        except (Exception, KeyboardInterrupt, SystemExit) as error:  # polars would replace or drop it
             failed.append(error)
             raise
 
