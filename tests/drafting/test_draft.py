@@ -126,7 +126,9 @@ def test_counts_of_gyros_without_turns_get_no_scale_and_the_user_is_told(
     session, said = drafted(still, tmp_path)
     assert session.log.gyro is not None
     assert not session.log.gyro.scale_stated  # and no number that stands for it
-    assert session.log.doubt.startswith("no turn tells what the gyros' counts are worth: the accelerometers alone are")
+    assert session.log.doubt.startswith(
+        "no turn determines the scale of the gyros' counts: the accelerometers alone are"
+    )
     assert "the scale is unknown, for no turns show it: put that of the data sheet there" in said
     assert "a guess from too few rests" in said
 
