@@ -31,6 +31,7 @@ from tumble.plugins import entry_points_of, load, package_of
 from tumble.program_errors import check_memory_limits, ended_by
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: threads would only wait for each other
+os.environ["RUST_BACKTRACE"] = "0"  # printing it at a damaged file would take polars longer than its caller waits
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # the search goes through all installed packages
 gc.set_threshold(200_000)  # a short command makes about as many objects, all in use
 atexit.register(gc.freeze)  # a last collection would take a fifth of the time of a short command

@@ -123,7 +123,8 @@ class TableLog(LogSource):
         """Yield all rows of a scan in order, in batches."""
         rows = 0
         with readable(self.path):
-            batches = iter(scan.collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True))
+            with without_panic():
+                batches = iter(scan.collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True))
             while True:
                 with without_panic():
                     table = next(batches, None)
