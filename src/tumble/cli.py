@@ -26,12 +26,11 @@ import click
 from tumble import __version__
 from tumble.documents import one_line
 from tumble.errors import TumbleError
-from tumble.files import may_be_interrupted
+from tumble.files import is_removing
 from tumble.plugins import entry_points_of, load, package_of
 from tumble.program_errors import check_memory_limits, ended_by
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the matrices are small: threads would only wait for each other
-os.environ["RUST_BACKTRACE"] = "0"  # printing it at a damaged file would take polars longer than its caller waits
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # the search goes through all installed packages
 gc.set_threshold(200_000)  # a short command makes about as many objects, all in use
 atexit.register(gc.freeze)  # a last collection would take a fifth of the time of a short command
@@ -176,7 +175,7 @@ def _ended_by_signals() -> Iterator[None]:
     """Make SIGINT and SIGTERM end the block like an error, so that nothing half written is left.
 
     Whichever error a library makes of the interruption, it is the interruption that leaves the block. One that comes
-    in the middle of an `uninterrupted` function, or is lost in a destructor, is repeated a moment later. A command that
+    while files are removed, or is lost in a destructor, is repeated a moment later. A command that
     does not react within STUCK_SECONDS, as in a library whose threads wait for each other, is ended at once. Signals
     that the process ignores, as under `nohup`, stay ignored."""
     import socket
@@ -193,10 +192,9 @@ def _ended_by_signals() -> Iterator[None]:
     def end(number: int, frame: FrameType | None) -> None:
         received.append(number)
         reacted.set()
-        if not may_be_interrupted(frame):
-            sender.send(_AGAIN)
-            return
-        raise interruption()
+        if not is_removing(frame):
+            raise interruption()
+        sender.send(_AGAIN)
 
     def repeat_if_lost(lost: sys.UnraisableHookArgs) -> None:
         if received and isinstance(lost.exc_value, KeyboardInterrupt | SystemExit):

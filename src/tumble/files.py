@@ -7,33 +7,17 @@ import os
 import re
 import secrets
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import CodeType, FrameType
+from types import FrameType
 
 from tumble.errors import InputError
 
 FilePath = str | os.PathLike[str]
 """Path of a file or folder in arguments of public functions."""
 
-_UNINTERRUPTED: set[CodeType] = set()
 
-
-def uninterrupted(function: Callable[..., None]) -> Callable[..., None]:
-    """Return a function after marking it: a signal that ends the command waits for its end."""
-    _UNINTERRUPTED.add(function.__code__)
-    return function
-
-
-def may_be_interrupted(frame: FrameType | None) -> bool:
-    """Return whether no `uninterrupted` function is running in a frame."""
-    while frame is not None and frame.f_code not in _UNINTERRUPTED:
-        frame = frame.f_back
-    return frame is None
-
-
-@uninterrupted
 def _remove(files: Iterable[Path], folders: Iterable[Path] = ()) -> None:
     """Remove files that were not completed, and folders that are empty without them."""
     for file in files:
@@ -41,6 +25,13 @@ def _remove(files: Iterable[Path], folders: Iterable[Path] = ()) -> None:
     with suppress(OSError):  # not empty
         for folder in folders:
             folder.rmdir()
+
+
+def is_removing(frame: FrameType | None) -> bool:
+    """Return whether files are being removed in a frame; a signal that ends the command then waits."""
+    while frame is not None and frame.f_code is not _remove.__code__:
+        frame = frame.f_back
+    return frame is not None
 
 
 @contextmanager
@@ -145,9 +136,9 @@ class OutputFolder:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.written: list[Path] = []
+        self.absent = [place for place in (path, *path.parents) if not place.exists()]
         self.use = ExitStack()
-        self.taken = False
-        self._there = path.exists()
+        self._there = not self.absent
 
     def new_file(self, name: str) -> Path:
         """Return the path of a new file of this name, with a number after its stem if the name is taken.
@@ -158,7 +149,7 @@ class OutputFolder:
                 self.path.mkdir(parents=True)
                 self.use.enter_context(in_use(self.path))
             except (FileExistsError, InputError):
-                self.taken = True
+                self.absent = []  # they are there, by the other process
                 raise _taken(self.path) from None
         self._there = True
         taken = {path.name.casefold() for path in self.written}
@@ -175,13 +166,12 @@ class OutputFolder:
 def nothing_left(folder: Path) -> Iterator[OutputFolder]:
     """Yield the folder for new files; if the block fails they are removed, and the folder if it was made and is
     empty. Raises InputError if another process writes into the folder."""
-    absent = [place for place in (folder, *folder.parents) if not place.exists()]
     output = OutputFolder(folder)
     with output.use:
-        if not absent:
+        if not output.absent:
             output.use.enter_context(in_use(folder))
         try:
             yield output
         except BaseException:
-            _remove(output.written, () if output.taken else absent)
+            _remove(output.written, output.absent)
             raise

@@ -22,7 +22,7 @@ from tumble import __version__
 from tumble.drafting.containers import files_of
 from tumble.drafting.new_session import Given, written_session
 from tumble.errors import InputError
-from tumble.files import in_use, nothing_left, uninterrupted, whole_file
+from tumble.files import in_use, nothing_left, whole_file
 from tumble.recording.log_source import readable
 from tumble.recording.session_file import SESSION_FILE
 from tumble.run.observed import Progress
@@ -93,19 +93,13 @@ def _put_aside(folder: Path) -> Iterator[None]:
         return
     aside = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
     with in_use(folder):
+        folder.rename(aside)
         try:
-            folder.rename(aside)
             yield
         except BaseException:
-            _rename(aside, folder)
+            aside.rename(folder)
             raise
     _bring_back(folder.parent, folder.name)
-
-
-@uninterrupted
-def _rename(aside: Path, folder: Path) -> None:
-    if aside.exists():
-        aside.rename(folder)
 
 
 def _bring_back(parent: Path, names: str) -> None:

@@ -121,12 +121,11 @@ class TableLog(LogSource):
 
     def _batches(self, scan: pl.LazyFrame) -> Iterator[pl.DataFrame]:
         """Yield all rows of a scan in order, in batches."""
-        rows = 0
+        rows, batches = 0, None
         with readable(self.path):
-            with without_panic():
-                batches = iter(scan.collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True))
             while True:
                 with without_panic():
+                    batches = batches or iter(scan.collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True))
                     table = next(batches, None)
                     if table is None and rows < self.rows:
                         wait_for_panic()
