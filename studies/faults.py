@@ -197,6 +197,7 @@ def _ended(process: subprocess.Popen[bytes]) -> Ended:
 
 def _become(words: list[str]) -> NoReturn:
     """The command line in this process, a copy that was just made, to its end."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # as the program does when it begins
     os.closerange(3, 1024)  # the parent waits for one of them
     sys.stdin, sys.stdout, sys.stderr = (open(n, mode, closefd=False) for n, mode in enumerate("rww"))  # noqa: SIM115
     status = 1
