@@ -250,7 +250,7 @@ def test_six_faces_in_counts_are_calibrated_without_the_gyros_whose_scale_nothin
         table = np.column_stack([10_000.0 * np.arange(800), accel, gyro])
         text(tmp_path / f"face-{k}.csv", "timestamp_us,ax,ay,az,gx,gy,gz", table)
     made = CliRunner().invoke(main, ["new", str(tmp_path / "s"), *map(str, sorted(tmp_path.glob("face-*.csv")))])
-    doubt = "no turn tells what the gyros' counts are worth: the accelerometers alone are calibrated"
+    doubt = "no turn determines the scale of the gyros' counts: the accelerometers alone are calibrated"
     assert made.stdout.startswith(f"doubt: {doubt}")
     done = CliRunner().invoke(main, ["calibrate", str(tmp_path / "s"), "--json"])
     assert done.exit_code == 0, done.stderr

@@ -104,8 +104,8 @@ def _doubts_of_units(
         others = " or ".join(dict.fromkeys(rival.label for rival in scales if rival is not None and rival.listed))
         if log[kind]["unit"] == "count" and "scale" not in log[kind]:
             yield (
-                f"no turn tells what the gyros' counts are worth: {only}noise is as if one were 1 deg/s; put the data "
-                "sheet's scale into [log.gyro]"
+                f"no turn determines the scale of the gyros' counts: {only}noise is given as if a count were 1 deg/s; "
+                "put the scale of the data sheet into [log.gyro]"
             )
         elif others and draft.unit(kind) is None:
             yield (

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from itertools import pairwise
 from typing import Any
 
@@ -19,6 +20,7 @@ import numpy as np
 from tumble.recording.columns.numbers import DATES
 from tumble.recording.columns.scales import FREQUENCIES
 from tumble.recording.rows.timed import leaping
+from tumble.recording.session import USUAL_RATE_U
 from tumble.units import TIME_UNITS, Array
 
 ASSUMED_RATE = 100.0  # Hz
@@ -38,6 +40,7 @@ _USUAL_BAND = 10.0, 2000.0  # Hz
 _UNUSUAL_RATE_COST, _SHORT_LOG_COST = 5.0, 8.0
 _IRREGULAR_SHARE, _IRREGULAR_FREE = 2e-2, 3  # irregular steps that are tolerated: share and number
 _PAUSE_SHARE, _PAUSE_FACTOR = 2e-3, 10.0  # longer steps than this factor times the (1 − share) quantile are pauses
+_NEAR_TYPICAL = 0.5  # of the typical step, for steps that are averaged: stamps in whole ms, without lost samples
 _LONGEST_DELAY = 0.1  # of the log; longer delays are pauses
 _JITTER = 0.25  # of the interval
 _LINE_TOLERANCE = 3.0  # intervals, of stamps about a straight line, in addition to their delays
@@ -51,11 +54,14 @@ _RATE_IN_TEXT = re.compile(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Times:
-    """Times of rows: keys of [log], remarks, the rate, Hz, the cost of the assumption, and its rivals."""
+    """Times of rows: keys of [log], remarks, the rate, Hz, the cost of the assumption, and its rivals.
+
+    `even`: stamps are even, or their rows equally spaced."""
 
     keys: dict[str, Any]
     remarks: tuple[str, ...]
     rate: float
+    even: bool = True
     cost: float = 0.0
     rivals: tuple[Times, ...] = ()
 
@@ -68,6 +74,12 @@ class Times:
 def at_rate(rate: float, cost: float) -> Times:
     """Return the times of rows without usable stamps, at a rate in Hz."""
     return Times(keys={"rate_hz": rate}, remarks=(), rate=rate, cost=cost)
+
+
+def is_rounded(stated: float, shown: float) -> bool:
+    """Return whether a stated rate, Hz, is the one that stamps show, rounded to the digits stated."""
+    last_digit = 10.0 ** min(int(Decimal(str(stated)).normalize().as_tuple().exponent), 0)
+    return abs(shown - stated) <= min(0.5 * last_digit, USUAL_RATE_U * stated)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -111,7 +123,9 @@ def times_of_column(stamps: Stamps) -> Times | None:
     units, how, doubts = _unit_costs(stamps, typical)
     fault = _fault_of_stamps(steps / typical)
     regular = fault is not None and _rows_are_equally_spaced(values)
-    slope = typical
+    slope, near = typical, np.abs(steps - typical) <= _NEAR_TYPICAL * typical
+    if fault is None and near.any():
+        slope = float(steps[near].mean())
     if regular:
         slope = float(np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1])
     trials = []
@@ -133,7 +147,7 @@ def times_of_column(stamps: Stamps) -> Times | None:
         remarks += doubts
         if not RATE_LIMITS[0] <= nominal <= RATE_LIMITS[1]:
             remarks.append(f"time: {nominal:.3g} samples per second is no rate of a log: is the unit right?")
-        trials.append(Times(keys=keys, remarks=tuple(remarks), rate=rate, cost=cost))
+        trials.append(Times(keys=keys, remarks=tuple(remarks), rate=rate, even=regular or fault is None, cost=cost))
     first, *rivals = trials
     whole = bool((values == np.floor(values)).all())  # fractions are of seconds, not of samples or ticks
     if whole and not stamps.clock and stamps.unit is None and how != _BY_DATES:
