@@ -40,7 +40,6 @@ from tumble.inference.prediction import directions
 from tumble.recording.arrays import Temperatures, celsius_of, check_kinds, numbers_of
 from tumble.result.accepted import accepted_kinds
 from tumble.result.record import CalibrationData
-from tumble.result.temperature_curves import thermal_parameters
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import functions, is_linear
 from tumble.sensors.model import UNITS, Block, SensorKind, SensorModel
@@ -199,7 +198,7 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
         if terms:
             formula += f", {FIXED_POINT_STEPS + 1} times from terms = 0, terms = {' + '.join(terms)}"
             formula += ", s = axis · " + symbol if {"cubic", "asymmetry"} & tables.keys() else ""
-        if thermal_parameters(calibration) and compensator.warm:
+        if compensator.warm:
             tables |= thermal_tables(compensator, kind)
             curve = "(bias_curve + d bias_cube)" if "bias_cube" in tables else "bias_curve"
             formula += (
