@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
+import pandas as pd
 import polars as pl
 import pytest
 
@@ -30,6 +31,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
 from tumble.result.parts import Evidence, Provenance
 
+MOMENTS = np.arange(300).astype("datetime64[ms]")
 CACHE = ROOT / ".mypy_cache" / "user"
 
 
@@ -338,6 +340,24 @@ def test_intervals_that_are_not_positive_are_refused(calibration: tumble.Calibra
         (
             {"accel": np.tile([0.0, 0.0, 9.8], (300, 1)), "time": np.arange(300).astype("datetime64[ms]")},
             r"time: expected numbers, found datetime64\[ms\]; give seconds",
+        ),
+        *(
+            (
+                {"accel": np.tile([0.0, 0.0, 9.8], (300, 1)), "time": time},
+                "^time: expected numbers, found .*; give seconds",
+            )
+            for time in (
+                pd.Series(MOMENTS),
+                pd.Series(MOMENTS).dt.tz_localize("UTC"),
+                pd.DatetimeIndex(MOMENTS),
+                pl.Series(MOMENTS),
+                pl.Series(MOMENTS - MOMENTS[0]),
+                pl.DataFrame({"t": MOMENTS}),
+            )
+        ),
+        (
+            {"accel": np.tile([0.0, 0.0, 9.8 + 0j], (300, 1)), "rate": 100.0},
+            "accel: expected numbers, found complex128",
         ),
         (
             {"accel": np.tile([0.0, 0.0, 9.8], (300, 1)), "rate": 100.0, "terms": "all"},

@@ -12,13 +12,21 @@ from types import NoneType, UnionType
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+import numpy.typing as npt
 
 from tumble.errors import InputError
+from tumble.units import Array
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 _SHOWN = 40
+_ADVICE = {
+    "complex": "give their real part",
+    ("D", "T"): "give seconds: (t - t[0]).dt.total_nanoseconds() / 1e9",  # polars
+    "": "give seconds: (t - t[0]) / np.timedelta64(1, 's')",
+}
+"""What to give instead of numbers of other types, by the first letters of the type."""
 _PLAIN: Mapping[Any, tuple[str, tuple[type, ...]]] = {
     str: ("text", (str,)),
     float: ("a number", (Real,)),
@@ -52,6 +60,27 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
         return function(*args, **kwargs)
 
     return call
+
+
+def array_of(what: str, given: npt.ArrayLike | None) -> Array:
+    """Return an array of real numbers from an array, a sequence or a frame. Raises InputError for anything else."""
+    if isinstance(given, np.ma.MaskedArray) and np.ma.is_masked(given):
+        masked = int(np.ma.getmaskarray(given).sum())
+        raise InputError(f"{what}: expected numbers, found {masked} that are masked; cut or fill them")
+    try:
+        if given is None:
+            raise TypeError("give readings")
+        numbers = np.asarray(given)
+        dtypes = getattr(given, "dtypes", None)  # one for each column of a frame
+        if dtypes is None and numbers.dtype.kind == "f":
+            return numbers.astype(np.float64, copy=False)
+        for dtype in map(str, np.ravel(getattr(given, "dtype", numbers.dtype) if dtypes is None else dtypes)):
+            if dtype.lower().startswith(("date", "time", "duration", "complex")):
+                advice = next(text for start, text in _ADVICE.items() if dtype.startswith(start))
+                raise InputError(f"{what}: expected numbers, found {dtype}; {advice}")
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what}: expected an array of numbers, found {type(given).__name__}: {error}") from None
 
 
 class _Names(dict[str, Any]):
