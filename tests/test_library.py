@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import numpy as np
-import pandas as pd
 import polars as pl
 import pytest
 
@@ -341,20 +340,6 @@ def test_intervals_that_are_not_positive_are_refused(calibration: tumble.Calibra
             {"accel": np.tile([0.0, 0.0, 9.8], (300, 1)), "time": np.arange(300).astype("datetime64[ms]")},
             r"time: expected numbers, found datetime64\[ms\]; give seconds",
         ),
-        *(
-            (
-                {"accel": np.tile([0.0, 0.0, 9.8], (300, 1)), "time": time},
-                "^time: expected numbers, found .*; give seconds",
-            )
-            for time in (
-                pd.Series(MOMENTS),
-                pd.Series(MOMENTS).dt.tz_localize("UTC"),
-                pd.DatetimeIndex(MOMENTS),
-                pl.Series(MOMENTS),
-                pl.Series(MOMENTS - MOMENTS[0]),
-                pl.DataFrame({"t": MOMENTS}),
-            )
-        ),
         (
             {"accel": np.tile([0.0, 0.0, 9.8 + 0j], (300, 1)), "rate": 100.0},
             "accel: expected numbers, found complex128",
@@ -368,6 +353,23 @@ def test_intervals_that_are_not_positive_are_refused(calibration: tumble.Calibra
 def test_readings_that_mean_nothing_are_refused(given: dict[str, Any], message: str) -> None:
     with pytest.raises(tumble.InputError, match=message):
         tumble.calibrate(**given)
+
+
+@pytest.mark.parametrize(
+    "time",
+    [
+        pl.Series(MOMENTS),
+        pl.Series(MOMENTS - MOMENTS[0]),
+        pl.DataFrame({"t": MOMENTS}),
+        lambda pd: pd.Series(MOMENTS),
+        lambda pd: pd.Series(MOMENTS).dt.tz_localize("UTC"),
+        lambda pd: pd.DatetimeIndex(MOMENTS),
+    ],
+)
+def test_moments_and_durations_of_frames_are_refused(time: Any) -> None:
+    given = time(pytest.importorskip("pandas")) if callable(time) else time
+    with pytest.raises(tumble.InputError, match=r"^time: expected numbers, found .*; give seconds: .t - t.0.. ?[/.]"):
+        tumble.calibrate(accel=np.tile([0.0, 0.0, 9.8], (300, 1)), time=given)
 
 
 def test_numbers_of_rests_may_be_numpys() -> None:
