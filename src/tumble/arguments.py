@@ -21,7 +21,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _SHOWN = 40
-_ADVICE = {
+_ADVICE: Mapping[str | tuple[str, ...], str] = {
     "complex": "give their real part",
     ("D", "T"): "give seconds: (t - t[0]).dt.total_nanoseconds() / 1e9",  # polars
     "": "give seconds: (t - t[0]) / np.timedelta64(1, 's')",
@@ -42,6 +42,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
     Numbers may be those of NumPy, and sequences arrays; their values are for the function itself to check."""
     parameters = signature(function).parameters
+    qualified_name = function.__qualname__.removesuffix(".__init__")
 
     @cache
     def hints_by_name() -> Mapping[str, Any]:
@@ -50,13 +51,13 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         for name, given in signature(function).bind(*args, **kwargs).arguments.items():
-            kind, hint = parameters[name].kind, hints_by_name()[name]
+            kind, hint = parameters[name].kind, hints_by_name().get(name, Any)  # self has none
             if kind is Parameter.VAR_KEYWORD:
                 hints = get_type_hints(get_args(hint)[0]) if get_args(hint) else {}
-                _check(function.__name__, given, hints)
+                _check(qualified_name, given, hints)
             else:
                 for value in given if kind is Parameter.VAR_POSITIONAL else (given,):
-                    _check(function.__name__, {name: value}, {name: hint})
+                    _check(qualified_name, {name: value}, {name: hint})
         return function(*args, **kwargs)
 
     return call
@@ -71,7 +72,7 @@ def array_of(what: str, given: npt.ArrayLike | None) -> Array:
         if given is None:
             raise TypeError("give readings")
         numbers = np.asarray(given)
-        dtypes = getattr(given, "dtypes", None)  # one for each column of a frame
+        dtypes: Any = getattr(given, "dtypes", None)  # one for each column of a frame
         if dtypes is None and numbers.dtype.kind == "f":
             return numbers.astype(np.float64, copy=False)
         for dtype in map(str, np.ravel(getattr(given, "dtype", numbers.dtype) if dtypes is None else dtypes)):
@@ -101,7 +102,9 @@ class _Names(dict[str, Any]):
 def _check(function: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
     for name, value in given.items():
         if name in hints and not _fits(value, hints[name]):
-            shown = repr(value) if isinstance(value, str | int | float | tuple | list) else f"{type(value).__name__}"
+            shown = (
+                repr(value) if isinstance(value, str | int | float | tuple | list | dict) else f"{type(value).__name__}"
+            )
             raise InputError(
                 f"--{name.replace('_', '-')}: expected {' or '.join(dict.fromkeys(_in_words(hints[name])))}, found "
                 f"{shown[:_SHOWN]}; see help(tumble.{function})"
@@ -158,5 +161,7 @@ def _in_words(hint: Any) -> Iterator[str]:
             yield from () if one is str and has_path else _in_words(one)
     elif args and issubclass(origin, Iterable) and not issubclass(origin, Mapping):
         yield f"several, each {' or '.join(dict.fromkeys(_in_words(args[0])))}"
+    elif origin is Mapping and args and args[1] is not Any:
+        yield f"a mapping of names to {' or '.join(dict.fromkeys(_in_words(args[1])))}"
     else:
         yield {Mapping: "a mapping"}.get(origin, origin.__name__)

@@ -107,6 +107,11 @@ def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
         if kind in given:
             readings = readings_of(kind, given[kind])
             sensors[kind] = readings.shape[1]
+            if sensors[kind] > 3 and f"{kind}_axes" not in given:
+                raise InputError(
+                    f"{kind}: expected three columns, found {sensors[kind]}; choose three without times, or give "
+                    f"{kind}_axes= for {sensors[kind]} sensors"
+                )
             columns = _columns(kind, sensors[kind])
             axes = {"axes": array_of("axes", given[f"{kind}_axes"]).tolist()} if f"{kind}_axes" in given else {}
             log[kind] = {"columns": columns, "unit": SI[kind][0], **axes}
@@ -159,7 +164,7 @@ def readings_of(kind: str, given: npt.ArrayLike) -> Array:
     return readings
 
 
-def numbers_of(what: str, given: npt.ArrayLike, *, increments: bool = False) -> Array:
+def numbers_of(what: str, given: npt.ArrayLike | None, *, increments: bool = False) -> Array:
     """Return an array of finite numbers in SI from an array or a frame; `what` is "accel" or "gyro" for readings.
 
     Raises InputError for anything else, and for columns of a frame with another unit in their names."""

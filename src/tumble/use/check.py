@@ -219,6 +219,8 @@ def check_calibration(
     (4, True)
     """
     accepted = accepted_for_check(calibration)
+    if not isinstance(readings, Session) and not Path(readings).exists():
+        raise InputError(f"{readings}: expected the folder of a session or a table of readings, found neither")
     if not isinstance(readings, Session) and not Path(readings).is_dir():
         rows, table = table_observations(accepted, Path(readings))
         labels = [f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)]

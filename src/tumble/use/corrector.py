@@ -18,7 +18,7 @@ from math import inf, nan
 import numpy as np
 import numpy.typing as npt
 
-from tumble.arguments import array_of
+from tumble.arguments import array_of, checked
 from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.files import FilePath
@@ -244,6 +244,7 @@ class Corrector:
     array([0.02])
     """
 
+    @checked
     def __init__(self, calibration: Calibration | FilePath, *, sample_rate: float | None = None) -> None:
         self.calibration = accepted_part(calibration_from(calibration))
         rate = self.calibration.provenance.sample_rate if sample_rate is None else sample_rate
