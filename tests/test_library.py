@@ -55,6 +55,7 @@ def test_import_loads_neither_numpy_nor_scipy() -> None:
 
 def test_dir_shows_the_public_names() -> None:
     assert set(dir(tumble)) == set(tumble.__all__)
+    assert "SensorArrays" in dir(tumble.types)
     for name in tumble.__all__:
         assert getattr(tumble, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'calibrat'"):

@@ -114,7 +114,8 @@ class Setup(Brief):
 
         Examples
         --------
-        >>> Setup.of(grade="mems", positions=30).rest
+        >>> import tumble
+        >>> tumble.Setup.of(grade="mems", positions=30).rest
         5.0
         """
         if not abs(latitude_deg) <= 90.0:
