@@ -123,6 +123,7 @@ def test_what_the_rests_do_not_show_is_not_judged() -> None:
     found = result_of(seen(3, turns=False))
     assert not [name for name in found.tests if name.startswith(("gyro.scale", "gyro.axis"))]
     assert found.valid
+    assert found.rests_agree is None
 
 
 def test_a_rest_that_moved_is_explained_by_no_change() -> None:
