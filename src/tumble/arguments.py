@@ -75,7 +75,9 @@ def array_of(what: str, given: npt.ArrayLike | None) -> Array:
         dtypes: Any = getattr(given, "dtypes", None)  # one for each column of a frame
         if dtypes is None and numbers.dtype.kind == "f":
             return numbers.astype(np.float64, copy=False)
-        for dtype in map(str, np.ravel(getattr(given, "dtype", numbers.dtype) if dtypes is None else dtypes)):
+        if dtypes is None:
+            dtypes = getattr(given, "dtype", None) or numbers.dtype
+        for dtype in map(str, np.ravel(dtypes)):
             if dtype.lower().startswith(("date", "time", "duration", "complex")):
                 advice = next(text for start, text in _ADVICE.items() if dtype.startswith(start))
                 raise InputError(f"{what}: expected numbers, found {dtype}; {advice}")
