@@ -302,7 +302,9 @@ def _harmful(cause: Cause) -> Finding:
     """Refuse the groups of parameters that a cause moves, those of the sensors at fault first."""
     groups = [group for group, damage in cause.by_group.items() if damage > ACCEPTED_DAMAGE]
     groups.sort(key=lambda group: not group.startswith(cause.concerns))
-    damage = f"up to {cause.damage:.2g} times their u" if np.isfinite(cause.damage) else "more than their u, all alike"
+    finite = np.isfinite(cause.damage)
+    damage = f"up to {two_digits(cause.damage)} times their u" if finite else "more than their u, all alike"
+    damage += ", if the most harmful of these is the cause" if cause.rivals else ""
     sentence = f"{cause.sentence}; without it parameters of {', '.join(groups)} err by {damage}"
     return Finding(sentence=sentence, concerns=tuple(groups), refuses=True, causes=(cause.name, *cause.rivals))
 

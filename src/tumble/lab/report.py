@@ -10,7 +10,7 @@ import base64
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, takewhile
 from pathlib import Path
 from typing import Literal
 
@@ -36,6 +36,7 @@ from tumble.lab.conformity import (
     risk_text,
 )
 from tumble.lab.limits import Limits, read_limits
+from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded
 from tumble.result.further import remarks
@@ -79,7 +80,7 @@ TONES: Mapping[Result, Tone] = {
 _RULE = f"{DECISION_RULE[0].upper()}{DECISION_RULE[1:]}. {RISK_DEFINITION[0].upper()}{RISK_DEFINITION[1:]}."
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 _FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
-"""Marks of clauses with keys, commands, options or advice, which are left out of certificates."""
+"""Marks of clauses with keys, commands, options or advice, which are left out of certificates with what follows."""
 
 
 def write_judged_report(
@@ -114,6 +115,9 @@ def write_certificate(
     as_found = check_certificate(stated, calibration)
     checks = [] if acceptance is None else judge_calibration(calibration, acceptance)
     verdict, tone = verdict_on([calibration])
+    laboratory = stated.laboratory
+    if not accepted_kinds(calibration):  # values that must not be used are not certified under accreditation
+        laboratory = laboratory.model_copy(update={"code": None})
     document = Document(
         title="Calibration certificate",
         device=device_name(calibration.serial, calibration.model),
@@ -126,7 +130,7 @@ def write_certificate(
         signatures=tuple(Signature(name=person.name, role=person.role or "") for person in stated.person),
         closing=f"End of the certificate {stated.number}",
         number=stated.number,
-        letterhead=letterhead(stated.laboratory),
+        letterhead=letterhead(laboratory),
     )
     return _write(document, out, sources, [checks])
 
@@ -201,7 +205,7 @@ def _sections(
     if acceptance is not None:
         yield limits_section(acceptance, checks)
     clauses = (
-        "; ".join(clause for clause in note.split("; ") if not any(mark in clause for mark in _FOR_THE_OPERATOR))
+        "; ".join(takewhile(lambda clause: not any(mark in clause for mark in _FOR_THE_OPERATOR), note.split("; ")))
         for note in (*calibration.provenance.assumptions, *calibration.provenance.notes)
     )
     further = (notes(*remarks(calibration), *filter(None, clauses)), *annexes(calibration, "c", short=True))
