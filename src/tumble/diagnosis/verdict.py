@@ -101,8 +101,8 @@ def _doubtful_gravity(site: Site) -> Iterator[Finding]:
     if sigmas > DOUBTFUL_SIGMAS:
         yield remark(
             f"{gravity_text(site)} at {site.height:.0f} m, {sigmas:.1f} times the standard uncertainty of both: "
-            "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true; if gravity is "
-            f"wrong, so are the scale factors of the accelerometers, by {1e6 * (anomaly or 0.0) / site.gravity:+.0f} ppm",
+            "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true; if it is wrong, "
+            f"so are the scale factors of the accelerometers, by {1e6 * (anomaly or 0.0) / site.gravity:+.0f} ppm",
             "accel.scale",
         )
     if 0.0 < COARSE_DIGITS * site.gravity_u < (digit_u := last_digit_u(site.gravity)):

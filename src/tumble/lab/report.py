@@ -38,8 +38,7 @@ from tumble.lab.conformity import (
 from tumble.lab.limits import Limits, read_limits
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import expanded
-from tumble.result.further import remarks
+from tumble.result.further import recording_dates, remarks
 from tumble.result.parts import Parameter
 from tumble.result.uncertainty_budget import shares_of_priors
 from tumble.views.blocks import Block, Document, Letterhead, Part, Section, Signature, Table, Text, Tone, section
@@ -51,8 +50,8 @@ from tumble.views.numbers import (
     limit_cell,
     percent,
     quantity_table,
-    to_digits_of,
     units_of_values,
+    with_expanded,
 )
 from tumble.views.report.document import (
     ReportedFile,
@@ -191,17 +190,18 @@ def _sections(
     source: ReportedFile, acceptance: Limits | None, checks: Sequence[Verdict], as_found: Calibration | None
 ) -> Iterator[Section]:
     """Yield the sections of a certificate. Its table of parameters adds coverage factor, degrees of freedom and the
-    value as found."""
+    value as found with its U."""
     calibration = source.calibration
 
     def extra_columns(p: Parameter, size: float) -> dict[str, str]:
         row = {"k": factor(p), "ν": degrees(p)}
         if as_found is not None:
-            before = as_found[p.name].value if p.name in as_found else None
-            row["as found"] = to_digits_of(before, expanded(p), size)
+            before = with_expanded(as_found[p.name], size) if p.name in as_found else ("", "")
+            row |= dict(zip(("as found", "U as found"), before, strict=True))
         return row
 
-    yield section("Result", *verdict_blocks(calibration), *value_blocks(calibration, extra_columns))
+    found = [] if as_found is None else [_as_found_text(as_found, acceptance)]
+    yield section("Result", *verdict_blocks(calibration), *value_blocks(calibration, extra_columns), *found)
     if acceptance is not None:
         yield limits_section(acceptance, checks)
     clauses = (
@@ -211,6 +211,16 @@ def _sections(
     further = (notes(*remarks(calibration), *filter(None, clauses)), *annexes(calibration, "c", short=True))
     yield from (each for each in further if each is not None)
     yield provenance(source)
+
+
+def _as_found_text(as_found: Calibration, acceptance: Limits | None) -> str:
+    """Return a sentence with the dates and verdicts of the calibration before an adjustment."""
+    days = list(dict.fromkeys(moment[:10] for moment in recording_dates(as_found)))
+    judged = [] if acceptance is None else judge_calibration(as_found, acceptance)
+    verdicts = [verdict_on([as_found])[0]]
+    verdicts += [f"{each.occasion} check: {'; '.join(each.reasons) or each.result}" for each in judged]
+    recorded = f"recorded {' and '.join(days)}" if days else "recorded on a day that is not stated"
+    return f"As found: {recorded}, method {as_found.method}; {', '.join(verdicts)}."
 
 
 def letterhead(laboratory: Party) -> Letterhead:

@@ -44,6 +44,7 @@ from tumble.views.numbers import (
     fixed,
     percent,
     quantity_table,
+    run_to_run,
     shown_units,
     significant,
     to_digits_of,
@@ -233,7 +234,7 @@ def parameter_table(
         row = {"mean" if several else "value": value, "u (k=1)": u}
         row |= {"k": factor(p) if p.u else ""} if factors else {}
         row |= {"U (95 %)": with_expanded(p, size)[1]} if factors or whole else {}
-        row |= {"run to run": to_digits_of(p.run_to_run, p.u, size)} if several else {}
+        row |= {"run to run": run_to_run(p.run_to_run, size)} if several else {}
         row |= {"deviation": to_digits_of(p.deviation, p.u, size)} if passport else {}
         row |= {"unit": unit}
         if whole:
@@ -325,10 +326,9 @@ def launch_table(
         return to_digits_of(q.deviation if deviations else q.value, q.u, size)
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
-        u = p.u if p.u is None or not on_page else (p.k or 0.0) * p.u
         row = {heading: shown(launch.get(p.name), size) for heading, launch in zip(headings, by_name, strict=True)}
         row |= {} if on_page else {"mean": shown(p, size)}
-        return row | {"run to run": to_digits_of(p.run_to_run, u, size), "unit": unit}
+        return row | {"run to run": run_to_run(p.run_to_run, size), "unit": unit}
 
     name = "deviation of" if deviations else "parameter"
     return quantity_table(parameters, shown_units(calibration.parameters), row, name=name)

@@ -35,6 +35,7 @@ from tumble.views.numbers import (
     fixed,
     percent,
     quantity_table,
+    run_to_run,
     shown_units,
     significant,
     to_digits_of,
@@ -138,7 +139,7 @@ def _parameter_table(calibration: Calibration, further: Cells | None) -> Table:
         row = {"": parameter_words(p.name), "mean" if calibration.evidence.launches else "value": value}
         row |= {"U (95 %)": shown, "unit": unit}
         row |= {"k": factor(p), "ν": degrees(p)} if factors else {}
-        row |= {"run to run": to_digits_of(p.run_to_run, U, size)} if calibration.evidence.launches else {}
+        row |= {"run to run": run_to_run(p.run_to_run, size)} if calibration.evidence.launches else {}
         row |= {"from nominal": to_digits_of(p.deviation, U, size)} if passport else {}
         return row | ({} if further is None else further(p, size))
 
