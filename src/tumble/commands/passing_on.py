@@ -43,7 +43,7 @@ def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certi
         write = partial(found, **{kind: file})
     reasons = write(calibrations, out)
     console.say(f"written to {out}")
-    console.end(reasons, "not accepted: ")
+    console.end(reasons)
 
 
 class _ExportCommand(click.Command):

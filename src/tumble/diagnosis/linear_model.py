@@ -30,7 +30,7 @@ import numpy as np
 from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.estimate import Estimate, GroupFinding
 from tumble.inference.integrated_turns import IntegratedTurns
-from tumble.inference.joint import joint
+from tumble.inference.joint import joint, usual_rate
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import SCATTER, VarianceComponents
 from tumble.inference.normal_equations import solve
@@ -228,7 +228,7 @@ def with_omitted_groups(estimate: Estimate, problem: Problem, shift: Array, size
             by_group = np.vstack([-shifted, np.diag(sizes)])[:, place]
             prior = source(f"prior.{name}", float(sizes[place.start]), instrument.units[first + place.start])
             budget = budget.with_source(prior, by_group @ by_group.T)
-    rate = None if estimate.prediction is None else estimate.prediction.at_rate
+    rate = usual_rate(None if estimate.linearised is None else estimate.linearised.about)
     return replace(
         estimate,
         budget=budget,

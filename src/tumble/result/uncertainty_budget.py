@@ -81,8 +81,8 @@ def uncertainty_budget(calibration: CalibrationData, name: str) -> tuple[BudgetL
     parameter = calibration[name]
     if not calibration.evidence.budget:
         raise CalibrationError(
-            f"calibration of {calibration.serial}: expected one with its budget, found one that was turned into the "
-            f"frame {calibration.frame!r}, or made by hand; calibrate again with this --frame"
+            f"calibration of {calibration.serial}: expected one with its budget, found none: it states no u, was "
+            f"made by hand, or was converted to the frame {calibration.frame!r}; calibrate again with this --frame"
         )
     site, lines = calibration.provenance.site, list[BudgetLine]()
     estimates = {"earth": EARTH_RATE, "gravity": 0.0 if site is None else site.gravity}

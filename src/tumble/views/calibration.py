@@ -165,7 +165,9 @@ def calibration_blocks(
     lines += [f"from launch to launch: {', '.join(spreads)}"] if several else []
     for each in iterated:
         steps = each.evidence.iterations
-        lines.append(f"{each.method}: the last of {len(steps)} iterations added {_largest_change(each, steps[-1])}")
+        last = f"the last of {len(steps)} iterations added {_largest_change(each, steps[-1])}"
+        last = last if len(steps) > 1 else "one iteration; a second (--iterations 2) would show what it leaves"
+        lines.append(f"{each.method}: {last}")
     for other in others:
         changes = {p.name: other[p.name].value - p.value for p in calibration.parameters if p.name in other}
         lines.append(f"{other.method} differs from {calibration.method} by {_largest_change(calibration, changes)}")

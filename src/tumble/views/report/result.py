@@ -23,10 +23,17 @@ from tumble.result.further import (
 )
 from tumble.result.parts import Parameter
 from tumble.result.unaided import improvement
+from tumble.run.calibrate import ITERATED_METHODS
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import sensor_kind
 from tumble.views.blocks import Block, Facts, Figure, Items, Section, Table, Text, Tone, section, table
-from tumble.views.calibration import group_table, launch_table, unknown_blocks
+from tumble.views.calibration import (
+    MEANING_OF_INCREMENTS,
+    group_table,
+    iteration_table,
+    launch_table,
+    unknown_blocks,
+)
 from tumble.views.numbers import (
     NONE,
     cells,
@@ -82,9 +89,7 @@ def verdict_blocks(calibration: Calibration) -> list[Block]:
             "Accepted with scatter: the noise within the rests does not explain all residuals. Their scatter is in U."
         )
     else:
-        verdict = (
-            "Accepted: the recording determines every parameter given here, and its residuals agree with the model."
-        )
+        verdict = "Accepted: every parameter given here is observable, and the residuals agree with the model."
         if unchecked := " and ".join(name for name, fit in calibration.evidence.fits.items() if fit.degrees < 0.5):
             verdict += f" Nothing checks the {unchecked}: there are no more data than unknowns."
     blocks: list[Block] = [Text(text=verdict, tone=tone)]
@@ -211,6 +216,15 @@ def launches(calibration: Calibration) -> Section | None:
         for launch in calibration.evidence.launches
     )
     return section("Launches", *blocks, Facts(rows=digests))
+
+
+def iterations(calibration: Calibration) -> Section | None:
+    """Return the increments of every iteration of a method of the paper."""
+    if calibration.method not in ITERATED_METHODS or not calibration.evidence.iterations:
+        return None
+    steps = iteration_table(calibration, linear_parameters(calibration.parameters))
+    count = f"{len(calibration.evidence.iterations)} iterations of the method {calibration.method}. "
+    return section("Iterations", count + MEANING_OF_INCREMENTS, replace(steps, dense=True))
 
 
 def correlations(calibration: Calibration) -> Section | None:
