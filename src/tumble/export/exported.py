@@ -47,10 +47,13 @@ class Exported(Brief):
         The bytes of the file.
     losses
         Notes on what the format cannot hold.
+    reasons
+        Why a certificate in the file states that not everything passes.
     """
 
     content: bytes
     losses: tuple[str, ...]
+    reasons: tuple[str, ...] = ()
 
 
 def example_line(kind: SensorKind, reading: Array, true: Array, becomes: Array | None = None, where: str = "") -> str:

@@ -247,11 +247,11 @@ def _statements(certificate: Certificate, calibration: Calibration, checks: Sequ
     agreed = f" Agreed beforehand: {certificate.agreed}." if certificate.agreed else ""
     rule = f"{_RULE}{agreed}{''.join(check.risk_sentence for check in checks)}" if certificate.limits else ""
     traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
-    stated = (rule, _statement_of_priors(calibration), traced, *certificate.remarks, SCOPE_STATEMENT)
+    stated = (rule, statement_of_priors(calibration), traced, *certificate.remarks, SCOPE_STATEMENT)
     return tuple(filter(None, stated))
 
 
-def _statement_of_priors(calibration: Calibration) -> str:
+def statement_of_priors(calibration: Calibration) -> str:
     """Return a sentence on the basis of the priors and their shares of u² by parameter group; empty without any."""
     clauses = []
     for basis, shares in shares_of_priors(calibration).items():

@@ -65,7 +65,7 @@ from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name, group_of, shown_in, usual_sizes, variable_of
 from tumble.units import ZERO_CELSIUS, engineering
 from tumble.use.apply import check_device
-from tumble.use.positions import PositionResiduals, position_residuals, table_observations
+from tumble.use.positions import PositionResiduals, fits_of, position_residuals, table_observations
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 
@@ -374,7 +374,7 @@ def prior_at_check(
         inverse_degrees[i] = 0.0 if not degrees else 1.0 / (degrees if between > pooled else total)
 
     inverse = {p.name: 1.0 / p.dof for p in calibration.parameters if p.dof is not None}
-    fits = calibration.evidence.fits
+    fits = fits_of(calibration)
     scatter: dict[str, Any] = {name: fits[fit].scatter for name, fit in _FITS.items() if fit in fits}
     return CheckPrior(
         instrument=instrument,

@@ -103,18 +103,9 @@ def value_blocks(calibration: Calibration, further: Cells | None = None) -> list
     """Return the linear parameters with U and `further` cells, the meaning of U, and the u of corrected readings."""
     blocks: list[Block] = []
     if calibration.parameters:
-        if len(calibration.evidence.launches) > 1:
-            scope = (
-                f"It is of the mean of {len(calibration.evidence.launches)} power-ons; a single later one lies about "
-                "the mean with the standard deviation “run to run”, which comes on top."
-            )
-        elif calibration.evidence.together:
-            scope = "It is of all recorded power-ons together; what changes at the next one comes on top."
-        else:
-            scope = "It is of the one power-on that was recorded; what changes at the next one is not in it."
         meaning = (
             "U = k u is the expanded uncertainty, which covers 95.45 %: k = 2 where u is known, more, by Student's t "
-            f"with ν degrees of freedom, where it was estimated from few residuals. {scope} "
+            f"with ν degrees of freedom, where it was estimated from few residuals. {scope_of_u(calibration)} "
             '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.'
         )
         blocks += [_parameter_table(calibration, further), Text(text=meaning, tone="small")]
@@ -130,6 +121,18 @@ def value_blocks(calibration: Calibration, further: Cells | None = None) -> list
     if calibration.outcome.unobservable:
         blocks.append(f"Not determined: {', '.join(calibration.outcome.unobservable)}.")
     return blocks
+
+
+def scope_of_u(calibration: Calibration) -> str:
+    """Return a sentence on the power-ons to which U applies."""
+    if count := len(calibration.evidence.launches):
+        return (
+            f"It is of the mean of {count} power-ons; a single later one lies about the mean with the standard "
+            "deviation “run to run”, which comes on top."
+        )
+    if calibration.evidence.together:
+        return "It is of all recorded power-ons together; what changes at the next one comes on top."
+    return "It is of the one power-on that was recorded; what changes at the next one is not in it."
 
 
 def _parameter_table(calibration: Calibration, further: Cells | None) -> Table:
@@ -227,19 +230,8 @@ def iterations(calibration: Calibration) -> Section | None:
     return section("Iterations", count + MEANING_OF_INCREMENTS, replace(steps, dense=True))
 
 
-def correlations(calibration: Calibration) -> Section | None:
-    """State what U covers, with the strongest correlations."""
-    if calibration.covariance is None:
-        return None
-    names = [p.name for p in calibration.parameters]
-    u = np.sqrt(np.diag(calibration.covariance))
-    scale = np.where(u > 0.0, u, 1.0)
-    r = np.clip(calibration.covariance / scale[:, None] / scale, -1.0, 1.0)
-    p, q = np.tril_indices(len(names), -1)
-    order = np.argsort(-np.abs(r[p, q]), kind="stable")[:_LISTED_CORRELATIONS]
-    rows = [
-        {"parameter": names[p[i]], "with": names[q[i]], "coefficient": fixed(float(r[p[i], q[i]]), 3)} for i in order
-    ]
+def contents_of_u(calibration: Calibration) -> str:
+    """Return sentences on what U contains and what it leaves out."""
     meaning = (
         "U contains the noise at rest and in turns, the scatter between rests that the residuals show, and the stated "
         "uncertainty of gravity; of several launches also their instability. "
@@ -255,9 +247,25 @@ def correlations(calibration: Calibration) -> Section | None:
             "It does not contain what one recording cannot show: changes with temperature and age, nonlinearity that "
             "is the same in every rest, and an error of gravity larger than stated."
         )
+    return meaning
+
+
+def correlations(calibration: Calibration) -> Section | None:
+    """State what U covers, with the strongest correlations."""
+    if calibration.covariance is None:
+        return None
+    names = [p.name for p in calibration.parameters]
+    u = np.sqrt(np.diag(calibration.covariance))
+    scale = np.where(u > 0.0, u, 1.0)
+    r = np.clip(calibration.covariance / scale[:, None] / scale, -1.0, 1.0)
+    p, q = np.tril_indices(len(names), -1)
+    order = np.argsort(-np.abs(r[p, q]), kind="stable")[:_LISTED_CORRELATIONS]
+    rows = [
+        {"parameter": names[p[i]], "with": names[q[i]], "coefficient": fixed(float(r[p[i], q[i]]), 3)} for i in order
+    ]
     strongest = (
         "The covariance of two parameters is their coefficient times both standard uncertainties; all of it is in "
         "the calibration file, which is the data annex. The strongest:"
     )
     listed: list[Block] = [strongest, table(rows, words=("parameter", "with"))] if rows else []
-    return section("Covariance and correlations", meaning, *listed)
+    return section("Covariance and correlations", contents_of_u(calibration), *listed)
