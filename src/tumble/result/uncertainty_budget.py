@@ -90,7 +90,7 @@ def uncertainty_budget(calibration: CalibrationData, name: str) -> tuple[BudgetL
         contribution = each.contributions.get(name, 0.0)
         u = contribution if each.u is None else each.u
         if each.name == "launches":
-            u = (parameter.run_to_run or 0.0) / sqrt(len(calibration.evidence.launches))
+            u = (parameter.run_to_run or 0.0) / sqrt(1.0 + (each.dof or 0.0))
         elif contribution == 0.0 and each.name not in REFERENCES[sensor_kind(name)]:
             continue
         line = BudgetLine.of(

@@ -158,7 +158,7 @@ def verdict_on(calibrations: Sequence[Calibration]) -> tuple[str, Tone]:
 def reasons_of(sources: Sequence[ReportedFile]) -> list[str]:
     """Return the reasons why calibrations are not accepted, each with its file."""
     return [
-        f"{source.file}: not accepted: {reason}" for source in sources for reason in source.calibration.outcome.reasons
+        f"not accepted: {source.file}: {reason}" for source in sources for reason in source.calibration.outcome.reasons
     ]
 
 
