@@ -358,7 +358,7 @@ def hostile(content: Any) -> None:
 def hostile_html(content: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("hostile")
     reasons = write_report([changed(content, folder, hostile)], folder / "report.html")
-    assert reasons == [f"changed.json: {SCRIPT}", f"changed.json: {MARKUP}"]
+    assert reasons == [f"not accepted: changed.json: {SCRIPT}", f"not accepted: changed.json: {MARKUP}"]
     return folder / "report.html"
 
 

@@ -49,7 +49,7 @@ def write_report(calibrations: Calibration | FilePath | Sequence[Calibration | F
     Returns
     -------
     list of str
-        Reasons why calibrations are not accepted.
+        Sentences on calibrations that are not accepted, with the reasons.
 
     Raises
     ------
