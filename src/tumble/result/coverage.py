@@ -69,11 +69,18 @@ def welch_satterthwaite(parts: Iterable[tuple[float, float | None]]) -> float | 
 
 
 def unshared_variance(u: float | None, degrees: float | None, shared: Iterable[float]) -> tuple[float, float | None]:
-    """Return the variance of a parameter without shared standard uncertainties, and its degrees of freedom."""
+    """Return the variance of a parameter without shared standard uncertainties, and its degrees of freedom.
+
+    These are the more of two: of the sum with the shared part by Welch and Satterthwaite, and of the same U (module
+    docstring), so that in the mean of launches they are ν_m."""
     variance = (u or 0.0) ** 2
     remaining = variance - sum(each**2 for each in shared)
     remaining = remaining if remaining > UNLEARNED * variance else 0.0
-    return remaining, None if degrees is None or variance == 0.0 else degrees * (remaining / variance) ** 2
+    if degrees is None or remaining == 0.0:
+        return remaining, None if degrees is None or variance == 0.0 else 0.0
+    ratio = remaining / variance
+    of_same_U = _degrees_of_factor(coverage_factor(degrees) / sqrt(ratio))
+    return remaining, None if of_same_U is None else max(degrees * ratio**2, of_same_U)
 
 
 def with_degrees(parameters: Iterable[Parameter], fits: Mapping[str, Fit]) -> tuple[Parameter, ...]:
