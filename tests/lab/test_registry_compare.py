@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from tests.support.calibrated import calibration, with_fields
 from tests.use.test_compare import of_common_gravity, of_common_time_base
 from tumble.cli import main
+from tumble.lab.registry.records import State
 from tumble.lab.registry.registry import open_registry
 from tumble.lab.registry.trend import Trend
 from tumble.lab.registry.views import change_lines
@@ -63,7 +64,8 @@ def test_a_step_of_40_ppm_under_a_common_error_of_20_ppm_ends_a_trend_with_1(
 
 def test_a_trend_says_which_records_it_compares_and_not_across_an_adjustment(tmp_path: Path) -> None:
     with open_registry(tmp_path / "r.sqlite", create=True) as registry:
-        for i, state in enumerate(("unchanged", "as-found", "as-left")):
+        states: list[State] = ["unchanged", "as-found", "as-left"]
+        for i, state in enumerate(states):
             made = calibration()
             name = made.parameters[0].name
             moved = (replace(made[name], value=made[name].value + i * (made[name].u or 0.0)), *made.parameters[1:])

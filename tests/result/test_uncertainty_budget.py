@@ -120,7 +120,7 @@ def test_of_launches(tmp_path: Path, terms: Terms) -> None:
     for parameter in mean.parameters:  # u of the line is s/√3, from which U is at least t(2) u
         (line,) = (line for line in mean.uncertainty_budget(parameter.name) if line.name == "launches")
         assert line.u == pytest.approx((parameter.run_to_run or 0.0) / np.sqrt(3.0))
-        assert (parameter.k or np.inf) * (parameter.u or 0.0) >= 0.9999 * coverage_factor(2.0) * line.u
+        assert (parameter.k or np.inf) * (parameter.u or 0.0) >= 0.9999 * coverage_factor(2.0) * (line.u or 0.0)
     assert set(between) < {p.name for p in mean.parameters}, "of others launches differ by less than they know"
 
 

@@ -307,8 +307,10 @@ def _differing_launches(
         degrees = welch_satterthwaite([(usual, None), (u_squared, fewest)]) or MANY_DEGREES
         ratio = (p.run_to_run or 0.0) ** 2 / (usual + u_squared)
         tested.append((float(scipy.special.fdtrc(len(runs) - 1, degrees, ratio)), ratio, p))
-    chance, ratio, p = min(tested, key=lambda each: each[:2], default=(1.0, 0.0, None))
-    if p is not None and len(tested) * chance < DIFFERING_CHANCE:
+    if not tested:
+        return
+    chance, ratio, p = min(tested, key=lambda each: (each[0], -each[1]))
+    if len(tested) * chance < DIFFERING_CHANCE:
         size, unit = shown_in(p.name, p.unit, spread_of(TURN_ON[grade], p.name))
         yield (
             f"the launches differ by more than power-ons and noise of one device: {p.name} has a standard deviation of "
