@@ -71,11 +71,14 @@ def uniform_lines(lines: Sequence[str], parse: Callable[[str], ParsedLine | None
         return None
 
     def rows(lines: Iterable[str]) -> Rows:
+        started = not names
         for line in lines:
             parsed = parse(line)
             matches = parsed is not None and (*parsed[:2], len(parsed[2])) == (kind, names, width)
             row = ",".join(parsed[2]) if parsed is not None and matches else ""
-            yield "", [row or line.replace(",", " ")]
+            started |= matches
+            if started:  # boot messages are above the first row
+                yield "", [row or line.replace(",", " ")]
 
     listed = f" ({', '.join(names)})" if names else ""
     return TextForm(rows=rows, names={"": names}, title=f"{title}{kind}{listed}")
@@ -251,7 +254,7 @@ def _samples(lines: Iterable[str]) -> Iterator[tuple[dict[str, str], int]]:
         count += bool(values)
 
 
-# -------------------- marks between thousands --------------------
+# -------------------- marks between thousands, and at the ends of rows --------------------
 
 _THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
 _QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
@@ -267,6 +270,14 @@ def thousands(lines: Sequence[str]) -> TextForm | None:
         return None
     title = "marks between thousands, as in 1'000"
     return TextForm(rows=lambda lines: (("", [plain(line)]) for line in lines), title=title)
+
+
+def ended_rows(lines: Sequence[str]) -> TextForm | None:
+    """Return the form of rows that end with a semicolon, which does not separate their values."""
+    ended = sum(line.count(";") == 1 and line.rstrip().endswith(";") for line in lines)
+    if ended <= max(_ALIKE_SHARE * sum(bool(line.strip()) for line in lines), 1):
+        return None
+    return TextForm(rows=lambda lines: (("", [line.rstrip("; \t")]) for line in lines), title="rows end with a semicolon")
 
 
 # -------------------- a line for each sensor --------------------
@@ -342,18 +353,23 @@ def _are_sensor_labels(words: Sequence[str], dialect: Dialect) -> bool:
 
 
 def form_of(lines: Sequence[str]) -> TextForm | None:
-    """Return the form of the first lines of a log; None for a table, and for rows with a column that names a sensor."""
-    first = lines[:_FIRST_LINES]
-    return (
-        rows_named_in_comments(lines)
-        or uniform_lines(first, sentence, "sentences")
-        or uniform_lines(first, json_object, "objects of JSON")
-        or samples_of_several_lines(first)
-        or uniform_lines(first, named_values, "names before the numbers")
-        or uniform_lines(first, row_in_brackets, "rows in brackets")
-        or uniform_lines(first, row_behind_clock, "rows behind the clock of a serial monitor")
-        or thousands(first)
+    """Return the form of the lines of a log, the first or, below boot messages, the last of them; None for a table, and
+    for rows with a column that names a sensor."""
+    forms = (
+        form
+        for some in (lines[:_FIRST_LINES], lines[-_FIRST_LINES:])
+        for form in (
+            uniform_lines(some, sentence, "sentences"),
+            uniform_lines(some, json_object, "objects of JSON"),
+            samples_of_several_lines(some),
+            uniform_lines(some, named_values, "names before the numbers"),
+            uniform_lines(some, row_in_brackets, "rows in brackets"),
+            uniform_lines(some, row_behind_clock, "rows behind the clock of a serial monitor"),
+            thousands(some),
+            ended_rows(some),
+        )
     )
+    return rows_named_in_comments(lines) or next(filter(None, forms), None)
 
 
 def copy_as_tables(file: Path, start: bytes, folder: OutputFolder) -> tuple[list[Path], tuple[str, ...]] | None:
@@ -361,7 +377,10 @@ def copy_as_tables(file: Path, start: bytes, folder: OutputFolder) -> tuple[list
 
     Returns the copies and remarks; None for a log that can be read directly. Raises InputError for too many sensors."""
     encoding = encoding_of(start)
-    form = form_of(re.split("[\r\n]+", start.decode(encoding, errors="replace"))[:-1]) or rows_by_sensor(file, start)
+    text = start.decode(encoding, errors="replace")
+    form = form_of(re.split("[\r\n]+", text)[:-1]) or rows_by_sensor(file, start)
+    if form is None and "\r" in text and "\n" not in text:
+        form = TextForm(rows=lambda lines: (("", [line]) for line in lines), title="lines end with CR alone")
     if form is None:
         return None
     files: dict[str, Path] = {}

@@ -210,7 +210,9 @@ def _message(log: ForeignLog, kind: str) -> Message:
     x, y, z = (f"{kind}_{axis}" for axis in "xyz")
     table = log.read([stamps.column, *source])
     table = table[np.isfinite(table).all(axis=1)]
-    if recordings_of(table[:, 0]) is not None:
+    first, *further = recordings_of(table[:, 0]) or [(0, len(table))]
+    table = table[slice(*first)]
+    if further:
         raise InputError(
             f"{log.files[0]}: expected one recording, found a clock that starts anew; give each its own file"
         )

@@ -135,7 +135,7 @@ def translated_name(name: str) -> str:
 def unit_spelling(text: str) -> str:
     """Return a unit as `UNITS` spells it: `m·s⁻²`, `m/sec^2` and `m / s²` become ms-2, m/s2 and m/s2."""
     out = re.sub(
-        r"(?<!arc)sec", "s", text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1")
+        r"(?<!arc)sec(onds?)?", "s", text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1")
     )
     return re.sub(r"[*^·⋅{} ]|\.(?=s)", "", out)
 
@@ -188,7 +188,8 @@ class Columns:
     """Columns of a table by kind: time, a triad of each kind of sensor, and thermometers as in [log.temperature].
 
     `time_unit` is None if the name has no unit; `others` are further triads and thermometers, `times` all columns named
-    as times, `interval` that of times since the previous sample. `ambiguous`: other columns are nearly as likely."""
+    as times, `interval` that of times since the previous sample. `ambiguous`: other columns are nearly as likely;
+    `turning`: gyros that were identified by numbers turn the vector of the accelerometers."""
 
     time: str | None
     time_unit: str | None
@@ -198,6 +199,7 @@ class Columns:
     times: tuple[str, ...] = ()
     interval: str | None = None
     ambiguous: bool = False
+    turning: bool = False
 
 
 def columns_by_name(names: Iterable[str]) -> Columns:
@@ -210,18 +212,24 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         for axis, stem in (_axes(words) or _axis_alone(words)) if name not in thermometers else ():
             if (kind := sensor_kind(stem, unit)) is not None:
                 stems.setdefault((kind, stem), {}).setdefault(axis, name)
-                break
 
-    def rank(item: tuple[tuple[str, str], Mapping[str, str]]) -> float:
+    def rank(item: tuple[tuple[str, str], Mapping[str, str]]) -> tuple[float, bool]:
+        """Rank by score, and axes that are letters before numbers, as in acc_x_0 … acc_z_2 of three devices."""
         (kind, stem), by_axis = item
-        return -score(kind, stem, _split(next(iter(by_axis.values())))[1])
+        are_numbers = len({re.sub(r"\d", "", name) for name in by_axis.values()}) == 1
+        return -score(kind, stem, _split(by_axis["x"])[1]), are_numbers
 
     triads: dict[str, Sensors] = {}
     others: list[str] = []
-    for (kind, stem), by_axis in sorted(stems.items(), key=rank):
-        if set(by_axis) == set("xyz") and kind in triads:
+    taken: set[str] = set()
+    complete = [item for item in stems.items() if set(item[1]) == set("xyz")]
+    for (kind, stem), by_axis in sorted(complete, key=rank):
+        if taken & {*by_axis.values()}:
+            continue
+        taken |= {*by_axis.values()}
+        if kind in triads:
             others.append(stem)
-        elif set(by_axis) == set("xyz"):
+        else:
             triads[kind] = _triad(kind, [by_axis[axis] for axis in "xyz"])
     direction_first = {}  # roll_rate of `RateRoll`
     for name in names:
@@ -348,6 +356,7 @@ def _split(name: str) -> tuple[list[str], str]:
         unit, rest = "_".join(words[-count:]), words[:-count]
         # the remaining words must be a name by themselves: with an axis, a direction or a word for time
         is_name = _axes(rest) or any(map(_DIRECTION.fullmatch, rest)) or score(TIME_KIND, "_".join(rest))
+        is_name = is_name or any(score(GYRO, "_".join(rest), axis=axis) for axis in "xyz")
         if rest and unit in ALL_UNITS and is_name:
             return rest, unit
         inner = "_".join(words[-count - 1 : -1])

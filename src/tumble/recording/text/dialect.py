@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 LINE_BYTES = 1 << 18
@@ -152,8 +153,16 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
     names, used = tuple(str(i + 1) for i in range(width)), set[int]()
     wordy = [i for i, n in candidates.items() if sum(map(dialect.is_number, n)) < _FEWEST_NUMBERS]
     at = max(wordy or candidates, default=-1) if dialect.header else -1  # a row of mostly text may follow the names
-    if at >= 0 and any(line.strip() for line in above[at + 1 :]) and not _are_telling(candidates[at]):  # boot messages
-        at = max((i for i in wordy if _are_telling(candidates[i])), default=-1)
+
+    def groups(at: int) -> tuple[str, ...]:
+        """Return the names in the line above, as many as there are columns."""
+        return names_of_rows([cell.strip('"') for cell in dialect.cells(above[at - 1])], below) if at else ()
+
+    def are_telling(at: int) -> bool:
+        return _are_telling(_with_group_names(candidates[at], groups(at)) or candidates[at])
+
+    if at >= 0 and any(line.strip() for line in above[at + 1 :]) and not are_telling(at):  # boot messages
+        at = max((i for i in wordy if are_telling(i)), default=-1)
     if at >= 0:
         names, used = candidates[at], {at}
         if at - 1 in candidates and _are_units(names):
@@ -161,10 +170,15 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
             pairs = zip(candidates[at], units, strict=True)
             names = tuple(f"{name} [{_bare(unit)}]".removesuffix(" []") for name, unit in pairs)
             used.add(at)
-        grouped = _with_group_names(names, dialect.cells(above[at - 1])) if at else None
+        grouped = _with_group_names(names, groups(at))
         if grouped is not None:
             names = grouped
             used.add(at - 1)
+        first_name, *others = dialect.cells(above[at + 1]) if at + 1 < len(above) else [""]
+        if first_name and not names[0] and others and not any(others):  # pandas names the index in a line of its own
+            names = (first_name, *names[1:])
+            used.add(at + 1)
+        names = with_axes(names)
     preamble = (" ".join(line.split()) for i, line in enumerate(above) if i not in used)
     return Top(names=numbered(names), lines=first, preamble=tuple(filter(None, preamble)))
 
@@ -198,11 +212,24 @@ def _with_group_names(names: tuple[str, ...], above: Sequence[str]) -> tuple[str
     return tuple(out) if len(set(unique)) == len(unique) else None
 
 
+def with_axes(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return names in which a sensor before two empty names, as of merged cells, has the axes x, y and z."""
+    from tumble.recording.columns.names import sensor_kind
+
+    out = list(names)
+    for j, name in enumerate(names[:-2]):
+        alone = not any(names[j + 1 : j + 3]) and all(names[j + 3 : j + 4])
+        if alone and sensor_kind(name.lower(), "") and name[-1] not in "xyzXYZ":
+            out[j : j + 3] = [f"{name} {axis}" for axis in "xyz"]
+    return tuple(out)
+
+
 def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """Return names for as many columns as most rows have.
 
     Empty names at the end are dropped if rows have no such columns. A missing name is that of the first column if it
-    numbers the rows, as written by R, else that of the last, as in rows that end with a comma."""
+    numbers the rows, as written by R, or grows evenly, as a time, below the name of a sensor; else that of the last, as
+    in rows that end with a comma."""
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else len(names)
     while len(names) > width and not names[-1]:
         names = names[:-1]
@@ -211,9 +238,18 @@ def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[
     wider = [cells for cells in rows if len(cells) == width]
     numbers = [cells[0].strip('"') for cells in wider]
     numbered = any(numbers == [str(first + i) for i in range(len(numbers))] for first in (0, 1))
-    if numbered and all(cells[-1] for cells in wider) and not _COUNTS.fullmatch(names[0]):
+    numbered = numbered and not COUNTS.fullmatch(names[0])
+    if all(cells[-1] for cells in wider) and (numbered or (_grows_evenly(numbers) and _is_sensor(names[0], names))):
         return ("", *names)
     return (*names, "")
+
+
+def _grows_evenly(cells: Sequence[str]) -> bool:
+    """Return whether numbers of the first rows grow by steps that differ less than by a factor of two."""
+    if len(cells) < FIRST_ROWS or not all(map(_POINT.fullmatch, cells)):
+        return False
+    steps = [float(after) - float(before) for before, after in pairwise(cells)]
+    return 0.0 < max(steps) < 2.0 * min(steps)
 
 
 def numbered(names: Sequence[str]) -> tuple[str, ...]:
@@ -225,7 +261,7 @@ def numbered(names: Sequence[str]) -> tuple[str, ...]:
     )
 
 
-_COUNTS = re.compile(
+COUNTS = re.compile(
     r"\W*(sample|packet|frame|row|seq|record)?[ _]?(count(er)?|index|idx|id|n|nr|no|number|sample|seq|row)\W*", re.I
 )
 """Names of columns that number rows."""
@@ -237,6 +273,13 @@ def _are_telling(names: Sequence[str]) -> bool:
 
     columns = columns_by_name(names)
     return bool(columns.triads) or columns.time is not None
+
+
+def _is_sensor(name: str, names: Sequence[str]) -> bool:
+    """Return whether a name is that of a sensor in a triad of names."""
+    from tumble.recording.columns.names import columns_by_name
+
+    return any(name in sensors.columns for sensors in columns_by_name(names).triads.values())
 
 
 def _are_units(names: Sequence[str]) -> bool:
