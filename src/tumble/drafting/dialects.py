@@ -277,7 +277,9 @@ def ended_rows(lines: Sequence[str]) -> TextForm | None:
     ended = sum(line.count(";") == 1 and line.rstrip().endswith(";") for line in lines)
     if ended <= max(_ALIKE_SHARE * sum(bool(line.strip()) for line in lines), 1):
         return None
-    return TextForm(rows=lambda lines: (("", [line.rstrip("; \t")]) for line in lines), title="rows end with a semicolon")
+    return TextForm(
+        rows=lambda lines: (("", [line.rstrip("; \t")]) for line in lines), title="rows end with a semicolon"
+    )
 
 
 # -------------------- a line for each sensor --------------------
@@ -355,21 +357,20 @@ def _are_sensor_labels(words: Sequence[str], dialect: Dialect) -> bool:
 def form_of(lines: Sequence[str]) -> TextForm | None:
     """Return the form of the lines of a log, the first or, below boot messages, the last of them; None for a table, and
     for rows with a column that names a sensor."""
-    forms = (
-        form
-        for some in (lines[:_FIRST_LINES], lines[-_FIRST_LINES:])
-        for form in (
-            uniform_lines(some, sentence, "sentences"),
-            uniform_lines(some, json_object, "objects of JSON"),
-            samples_of_several_lines(some),
-            uniform_lines(some, named_values, "names before the numbers"),
-            uniform_lines(some, row_in_brackets, "rows in brackets"),
-            uniform_lines(some, row_behind_clock, "rows behind the clock of a serial monitor"),
-            thousands(some),
-            ended_rows(some),
+    form = rows_named_in_comments(lines)
+    for some in (lines[:_FIRST_LINES], lines[-_FIRST_LINES:]):
+        form = (
+            form
+            or uniform_lines(some, sentence, "sentences")
+            or uniform_lines(some, json_object, "objects of JSON")
+            or samples_of_several_lines(some)
+            or uniform_lines(some, named_values, "names before the numbers")
+            or uniform_lines(some, row_in_brackets, "rows in brackets")
+            or uniform_lines(some, row_behind_clock, "rows behind the clock of a serial monitor")
+            or thousands(some)
+            or ended_rows(some)
         )
-    )
-    return rows_named_in_comments(lines) or next(filter(None, forms), None)
+    return form
 
 
 def copy_as_tables(file: Path, start: bytes, folder: OutputFolder) -> tuple[list[Path], tuple[str, ...]] | None:
@@ -377,10 +378,7 @@ def copy_as_tables(file: Path, start: bytes, folder: OutputFolder) -> tuple[list
 
     Returns the copies and remarks; None for a log that can be read directly. Raises InputError for too many sensors."""
     encoding = encoding_of(start)
-    text = start.decode(encoding, errors="replace")
-    form = form_of(re.split("[\r\n]+", text)[:-1]) or rows_by_sensor(file, start)
-    if form is None and "\r" in text and "\n" not in text:
-        form = TextForm(rows=lambda lines: (("", [line]) for line in lines), title="lines end with CR alone")
+    form = form_of(re.split("[\r\n]+", start.decode(encoding, errors="replace"))[:-1]) or rows_by_sensor(file, start)
     if form is None:
         return None
     files: dict[str, Path] = {}

@@ -135,7 +135,9 @@ def translated_name(name: str) -> str:
 def unit_spelling(text: str) -> str:
     """Return a unit as `UNITS` spells it: `m·s⁻²`, `m/sec^2` and `m / s²` become ms-2, m/s2 and m/s2."""
     out = re.sub(
-        r"(?<!arc)sec(onds?)?", "s", text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1")
+        r"(?<!arc)sec(onds?)?",
+        "s",
+        text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1"),
     )
     return re.sub(r"[*^·⋅{} ]|\.(?=s)", "", out)
 

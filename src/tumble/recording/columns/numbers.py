@@ -71,14 +71,14 @@ Triple = tuple[int, int, int]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Hypothesis:
-    """Columns of accelerometers and gyros, their cost, the part of it that concerns the accelerometers, and whether the
-    gyros turn the vector of these."""
+    """Columns of accelerometers and gyros, their cost, and the parts of it that concern the accelerometers and the
+    turning of their vector by the gyros."""
 
     cost: float
     accel_cost: float
     accel: Triple
     gyro: Triple | None
-    turning: bool = False
+    turning: float = 0.0
 
 
 def guess_remarks(columns: Columns, named: Collection[str] = ()) -> list[str]:
@@ -118,7 +118,9 @@ def columns_by_data(names: Sequence[str], table: Array) -> Columns:
     }
     # the rivals are a log without accelerometers, and the second hypothesis
     margin = min([_LIMIT - best.accel_cost, *(rival.cost - best.cost for rival in rivals[:1])])
-    return Columns(time=time, time_unit=None, triads=triads, ambiguous=margin < _AMBIGUOUS, turning=best.turning)
+    return Columns(
+        time=time, time_unit=None, triads=triads, ambiguous=margin < _AMBIGUOUS, turning=best.turning < _TURNING
+    )
 
 
 def _ranked_hypotheses(names: Sequence[str], table: Array, columns: Sequence[int]) -> list[_Hypothesis]:
@@ -153,15 +155,10 @@ def _ranked_hypotheses(names: Sequence[str], table: Array, columns: Sequence[int
                 gyro_cost += _ASKEW * ((gyro[0] - accel[0]) % 3 != 0)
                 gyro_cost += _LATER * (min(gyro[0], accel[0]) >= first[accel[0]] + 3)
                 accel_cost = cost + min(turning, 0.0)
-                hypotheses.append(
-                    _Hypothesis(
-                        cost=cost + gyro_cost,
-                        accel_cost=accel_cost,
-                        accel=accel,
-                        gyro=gyro,
-                        turning=turning < _TURNING,
-                    )
+                found = _Hypothesis(
+                    cost=cost + gyro_cost, accel_cost=accel_cost, accel=accel, gyro=gyro, turning=turning
                 )
+                hypotheses.append(found)
     return sorted((h for h in hypotheses if h.accel_cost <= _LIMIT), key=lambda h: h.cost)
 
 

@@ -174,11 +174,6 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
         if grouped is not None:
             names = grouped
             used.add(at - 1)
-        first_name, *others = dialect.cells(above[at + 1]) if at + 1 < len(above) else [""]
-        if first_name and not names[0] and others and not any(others):  # pandas names the index in a line of its own
-            names = (first_name, *names[1:])
-            used.add(at + 1)
-        names = with_axes(names)
     preamble = (" ".join(line.split()) for i, line in enumerate(above) if i not in used)
     return Top(names=numbered(names), lines=first, preamble=tuple(filter(None, preamble)))
 
@@ -212,24 +207,14 @@ def _with_group_names(names: tuple[str, ...], above: Sequence[str]) -> tuple[str
     return tuple(out) if len(set(unique)) == len(unique) else None
 
 
-def with_axes(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return names in which a sensor before two empty names, as of merged cells, has the axes x, y and z."""
-    from tumble.recording.columns.names import sensor_kind
-
-    out = list(names)
-    for j, name in enumerate(names[:-2]):
-        alone = not any(names[j + 1 : j + 3]) and all(names[j + 3 : j + 4])
-        if alone and sensor_kind(name.lower(), "") and name[-1] not in "xyzXYZ":
-            out[j : j + 3] = [f"{name} {axis}" for axis in "xyz"]
-    return tuple(out)
-
-
 def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[str, ...]:
     """Return names for as many columns as most rows have.
 
     Empty names at the end are dropped if rows have no such columns. A missing name is that of the first column if it
-    numbers the rows, as written by R, or grows evenly, as a time, below the name of a sensor; else that of the last, as
-    in rows that end with a comma."""
+    numbers the rows, as written by R, or grows evenly below a name that may be that of a sensor; else that of the last,
+    as in rows that end with a comma."""
+    from tumble.recording.columns.names import is_no_sensor
+
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else len(names)
     while len(names) > width and not names[-1]:
         names = names[:-1]
@@ -238,18 +223,11 @@ def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[
     wider = [cells for cells in rows if len(cells) == width]
     numbers = [cells[0].strip('"') for cells in wider]
     numbered = any(numbers == [str(first + i) for i in range(len(numbers))] for first in (0, 1))
-    numbered = numbered and not COUNTS.fullmatch(names[0])
-    if all(cells[-1] for cells in wider) and (numbered or (_grows_evenly(numbers) and _is_sensor(names[0], names))):
+    steps = [float(b) - float(a) for a, b in pairwise(numbers)] if all(map(_POINT.fullmatch, numbers)) else []
+    even = len(steps) >= FIRST_ROWS - 1 and 0.0 < max(steps) < 2.0 * min(steps) and not is_no_sensor(names[0])
+    if all(cells[-1] for cells in wider) and (numbered or even) and not COUNTS.fullmatch(names[0]):
         return ("", *names)
     return (*names, "")
-
-
-def _grows_evenly(cells: Sequence[str]) -> bool:
-    """Return whether numbers of the first rows grow by steps that differ less than by a factor of two."""
-    if len(cells) < FIRST_ROWS or not all(map(_POINT.fullmatch, cells)):
-        return False
-    steps = [float(after) - float(before) for before, after in pairwise(cells)]
-    return 0.0 < max(steps) < 2.0 * min(steps)
 
 
 def numbered(names: Sequence[str]) -> tuple[str, ...]:
@@ -273,13 +251,6 @@ def _are_telling(names: Sequence[str]) -> bool:
 
     columns = columns_by_name(names)
     return bool(columns.triads) or columns.time is not None
-
-
-def _is_sensor(name: str, names: Sequence[str]) -> bool:
-    """Return whether a name is that of a sensor in a triad of names."""
-    from tumble.recording.columns.names import columns_by_name
-
-    return any(name in sensors.columns for sensors in columns_by_name(names).triads.values())
 
 
 def _are_units(names: Sequence[str]) -> bool:

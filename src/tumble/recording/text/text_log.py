@@ -47,7 +47,6 @@ from tumble.recording.text.dialect import (
     names_of_rows,
     numbered,
     top_of,
-    with_axes,
 )
 from tumble.recording.text.pieces import opened, whole_lines
 from tumble.units import Array
@@ -235,7 +234,7 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
             raise LogError(f"{path}: expected the names of the columns in the first line, found: {error}") from None
         below = (Dialect().cells(line.decode("utf-8", errors="replace").strip()) for line in lines)
         names = names_of_rows([name.strip() for name in above], [cells for cells in below if cells])
-        return TextLog(path=path, names=numbered(with_axes(names)), dialect=Dialect(), top=1)
+        return TextLog(path=path, names=numbered(names), dialect=Dialect(), top=1)
     with opened(path, dialect.encoding) as stream:
         top = top_of(head_lines(stream.read(SEEN_BYTES)), dialect)
     if top is None:
