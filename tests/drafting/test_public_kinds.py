@@ -120,7 +120,7 @@ def test_names_before_the_values_below_boot_text(rows: Array, tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", ["delta_ms", "t"])
 def test_a_column_of_intervals_by_its_name_or_its_numbers(name: str, rows: Array, tmp_path: Path) -> None:
-    intervals = np.rint(1e3 * np.diff(rows[:, 0], prepend=0.0)) + np.tile([-1.0, 1.0], len(rows))[: len(rows)]
+    intervals = np.rint(1e3 * np.diff(rows[:, 0], prepend=0.0)) + np.resize([-1.0, 1.0, 0.0, 0.0, 0.0], len(rows))
     table = np.column_stack([intervals, rows[:, 1:]])
     log = text(tmp_path / "log.csv", NAMES.replace("t", name, 1), table)
     assert check_read(tmp_path / "s", log, rows) == ""
