@@ -58,6 +58,8 @@ NAMED: dict[str, tuple[list[str], str | None, str | None]] = {
         None,
     ),
     "flight in deg/s": (["ax", "ay", "az", "p_dps", "q_dps", "r_dps"], None, "deg/s"),
+    "without biases": (axes("accel {} bias corrected", "unbiased_gyro_{}"), None, None),
+    "a letter behind": (axes("{}_a", "{}_g"), None, None),
     "Spanish": (axes("aceleracion_{}", "giro_{}"), None, None),
     "Portuguese": (axes("Acelerômetro {}", "Giroscópio {}", axes="XYZ"), None, None),
     "German": (axes("Beschl_{}", "Dreh_{}", axes="XYZ"), None, None),
@@ -76,6 +78,8 @@ def test_sensors_are_identified_by_their_names(case: str) -> None:
     ("names", "kinds"),
     [
         (axes("lacc_{}", "gyro_{}"), {GYRO}),
+        (axes("{}_g", axes="XYZ"), {ACCEL}),
+        (axes("gyro_bias_{}"), set()),
         (axes("angular_acceleration_{}"), set()),
         (["ax", "ay", "az", "p", "q"], {ACCEL}),
         (["ax", "ay", "az", "roll_setpoint", "pitch_setpoint", "yaw_setpoint"], {ACCEL}),

@@ -134,11 +134,8 @@ def translated_name(name: str) -> str:
 
 def unit_spelling(text: str) -> str:
     """Return a unit as `UNITS` spells it: `m·s⁻²`, `m/sec^2` and `m / s²` become ms-2, m/s2 and m/s2."""
-    out = re.sub(
-        r"(?<!arc)sec(onds?)?",
-        "s",
-        text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1"),
-    )
+    text = text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1")
+    out = re.sub(r"(?<!arc)sec(onds?)?", "s", text)
     return re.sub(r"[*^·⋅{} ]|\.(?=s)", "", out)
 
 
@@ -163,6 +160,8 @@ def is_unit(text: str) -> bool:
 _AXIS_OF_WORD = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
 _WITH_AXIS = [re.compile(word) for word in (r"([a-z]+)([xyz])(\d)", "(.+)([xyz])()", "()([xyz])(.+)", "(.+)([123])()")]
 """Words that contain an axis: ax1 and gyroz2 of several devices, and AccX, xacc, acc1."""
+_IN_G = re.compile(r"[xyz][ _]g", re.IGNORECASE)
+"""Names of accelerometers in g, or of gyros beside accelerometers x_a, y_a and z_a."""
 _THERMOMETER = re.compile(r"(t|temp|temperature)(\d?)")
 _ACCEL_WORD = re.compile(r"(acc|accel|accelerometers?|a)([xyz]?)")
 _GYRO_WORD = re.compile(r"(gyr|gyros?|gyroscopes?|g)([xyz]?)")
@@ -219,20 +218,21 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         """Rank by score, and axes that are letters before numbers, as in acc_x_0 … acc_z_2 of three devices."""
         (kind, stem), by_axis = item
         are_numbers = len({re.sub(r"\d", "", name) for name in by_axis.values()}) == 1
-        return -score(kind, stem, _split(by_axis["x"])[1]), are_numbers
+        return -score(kind, stem, _split(next(iter(by_axis.values())))[1]), are_numbers
 
     triads: dict[str, Sensors] = {}
     others: list[str] = []
     taken: set[str] = set()
-    complete = [item for item in stems.items() if set(item[1]) == set("xyz")]
-    for (kind, stem), by_axis in sorted(complete, key=rank):
-        if taken & {*by_axis.values()}:
+    for (kind, stem), by_axis in sorted(stems.items(), key=rank):
+        if set(by_axis) != set("xyz") or taken & {*by_axis.values()}:
             continue
         taken |= {*by_axis.values()}
         if kind in triads:
             others.append(stem)
         else:
             triads[kind] = _triad(kind, [by_axis[axis] for axis in "xyz"])
+    if ACCEL not in triads and GYRO in triads and all(map(_IN_G.fullmatch, triads[GYRO].columns)):
+        triads[ACCEL] = Sensors(columns=triads.pop(GYRO).columns, unit="g")
     direction_first = {}  # roll_rate of `RateRoll`
     for name in names:
         words = re.sub(r"(roll|pitch|yaw)(?=rate|speed|vel)", r"\1_", "_".join(_split(name)[0])).split("_")

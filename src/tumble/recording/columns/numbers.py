@@ -155,10 +155,10 @@ def _ranked_hypotheses(names: Sequence[str], table: Array, columns: Sequence[int
                 gyro_cost += _ASKEW * ((gyro[0] - accel[0]) % 3 != 0)
                 gyro_cost += _LATER * (min(gyro[0], accel[0]) >= first[accel[0]] + 3)
                 accel_cost = cost + min(turning, 0.0)
-                found = _Hypothesis(
+                both = _Hypothesis(
                     cost=cost + gyro_cost, accel_cost=accel_cost, accel=accel, gyro=gyro, turning=turning
                 )
-                hypotheses.append(found)
+                hypotheses.append(both)
     return sorted((h for h in hypotheses if h.accel_cost <= _LIMIT), key=lambda h: h.cost)
 
 
