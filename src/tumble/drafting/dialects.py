@@ -38,7 +38,7 @@ from tumble.recording.log_source import readable
 from tumble.recording.text.dialect import Dialect, dialect_of, encoding_of, is_clock
 from tumble.recording.text.pieces import opened
 
-_LAST_LINES = 200
+_SOME_LINES = 200
 _FEWEST_NUMBERS = 3
 _LONGEST_LINE = 4096  # characters
 _MOST_SENSORS = 20
@@ -355,12 +355,12 @@ def _are_sensor_labels(words: Sequence[str], dialect: Dialect) -> bool:
 def form_of(lines: Sequence[str]) -> TextForm | None:
     """Return the form of the lines of a log, by the last of them, which are below boot messages; None for a table, and
     for rows with a column that names a sensor."""
-    last = lines[-_LAST_LINES:]
+    last = lines[-_SOME_LINES:]
     return (
         rows_named_in_comments(lines)
         or uniform_lines(last, sentence, "sentences")
         or uniform_lines(last, json_object, "objects of JSON")
-        or samples_of_several_lines(last)
+        or (samples_of_several_lines(last) and samples_of_several_lines(lines[:_SOME_LINES]))  # from their first line
         or uniform_lines(last, named_values, "names before the numbers")
         or uniform_lines(last, row_in_brackets, "rows in brackets")
         or uniform_lines(last, row_behind_clock, "rows behind the clock of a serial monitor")
