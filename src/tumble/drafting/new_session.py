@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +26,7 @@ from tumble.drafting.containers import check_format, files_of, unzipped
 from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.foreign_log import HEAD_ROWS, SAMPLE_ROWS, ForeignLog
 from tumble.drafting.repairs import repair_log
-from tumble.drafting.sensors_apart import log_of_recording
+from tumble.drafting.sensors_apart import CORE_MOTION, log_of_recording
 from tumble.errors import InputError, LogError, did_you_mean
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import programmes
@@ -50,7 +49,6 @@ _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": 
 """Magnetic fields on Earth, with iron nearby."""
 _SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEGREE)}
 _PLAUSIBLE_TEMPERATURES = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # median of a recording
-_CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -292,7 +290,7 @@ def _with_apple_sign(draft: Draft) -> Draft:
     A recording cannot determine it, because gyros predict both directions of the vertical alike. Source: Apple,
     CMAccelerometerData and CMMotionManager, Core Motion."""
     accel = draft.log["accel"]
-    if accel["unit"] != "g" or not all(_CORE_MOTION.fullmatch(name) for name in accel["columns"]):
+    if accel["unit"] != "g" or not all(map(CORE_MOTION.fullmatch, accel["columns"])):
         return draft
     table = {"columns": accel["columns"], "unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
     remark = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"
