@@ -90,14 +90,15 @@ class ResidualGroup:
             covariances |= {"turn": turns.covariance, "velocity": turns.velocity_covariance}
         return typical_noise(covariances[self.name])
 
-    def p_value(self, linearised: Linearisation, noise_only: Solution, part: SessionSpan) -> float:
-        """Return the probability that the noise within rests exceeds the residuals of a session, in the directions of
-        the scatter."""
-        noise, equations = linearised.noise, noise_only.equations
+    def p_value(self, linearised: Linearisation, expected: Solution, part: SessionSpan) -> float:
+        """Return the probability that chance exceeds the residuals of a session, in the directions of the scatter.
+
+        `expected` is the solution with the noise within rests and the usual in-run biases."""
+        noise, equations = linearised.noise, expected.equations
         at_rest = self.name in REST_SCATTER
         Z, component = noise.rest_directions if at_rest else noise.turn_directions
         W = equations.rest_whitening if at_rest else equations.turn_whitening
-        residual, covariance = noise_only.rest_residuals if at_rest else noise_only.turn_residuals
+        residual, covariance = expected.rest_residuals if at_rest else expected.turn_residuals
         rows = part.rests if at_rest else part.turns
         directions = Z[:, :, np.isin(component, [SCATTER.index(name) for name in (self.name, *self.others)])]
         return SumOfSquares.along(W[rows] @ directions[rows], residual[rows], covariance[rows]).p_value
@@ -121,20 +122,23 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     linearised = estimate.linearised
     if linearised is None:
         return ()
-    noise_only = diagnostic_solution(linearised, VarianceComponents())
     session, together = LinearisedSession(linearised), linearised.problem.observations.together
+    usual = {
+        h.name.removesuffix("_in_run"): _usual_size(h, linearised, UNUSUAL_RATIO) for h in estimate.hyperparameters
+    }
+    in_run = {f"{kind}_in_run": usual.get(kind, 0.0) for kind in ("accel", "gyro")}
+    expected = diagnostic_solution(linearised, VarianceComponents(**in_run))
     p_values = [
-        {group: group.p_value(linearised, noise_only, part) for group in GROUPS} for part in linearised.problem.parts
+        {group: group.p_value(linearised, expected, part) for group in GROUPS} for part in linearised.problem.parts
     ]
-    causes = _causes(session, noise_only) if search else [[] for _ in p_values]
+    causes = [list[Cause]() for _ in p_values]
+    if search:
+        causes = _causes(session, diagnostic_solution(linearised, VarianceComponents()))
     limit = holm_limit(
         [p for of_session in p_values for p in of_session.values()]
         + [cause.p_value for of_session in causes for cause in of_session]
     )
     varying = list(_varying_parameters(estimate, linearised))
-    usual = {
-        h.name.removesuffix("_in_run"): _usual_size(h, linearised, UNUSUAL_RATIO) for h in estimate.hyperparameters
-    }
     reported = {kind for finding in varying for kind in finding.kinds if finding.causes != ("scale-factor drift",)}
     by_session = [
         list(_session_findings(linearised, *of_session, limit, usual, reported))
