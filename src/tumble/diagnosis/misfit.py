@@ -256,6 +256,7 @@ def _session_findings(
     if scattering:  # further causes are named if they may explain it
         kinds = {group.concerns for group in scattering}
         likely = [c for c in causes if c not in named and (not c.concerns or c.concerns[0] in kinds)]
+        likely = [c for c in likely if c.name != "lost samples" or "turn" in ratios]  # rests are as they were
         explained = any(cause.concerns != ("accel",) for cause in named)
         if ratios.get("turn", 0.0) > MOVEMENT_RATIO * ratios.get("gyro", 0.0) and not explained:
             # a cause by which turns scatter far more than gyros at rest is random; no systematic effect need fit it
