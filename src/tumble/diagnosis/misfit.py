@@ -126,8 +126,8 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     usual = {
         h.name.removesuffix("_in_run"): _usual_size(h, linearised, UNUSUAL_RATIO) for h in estimate.hyperparameters
     }
-    in_run = {f"{kind}_in_run": usual.get(kind, 0.0) for kind in ("accel", "gyro")}
-    expected = diagnostic_solution(linearised, VarianceComponents(**in_run))
+    in_run = VarianceComponents(accel_in_run=usual.get("accel", 0.0), gyro_in_run=usual.get("gyro", 0.0))
+    expected = diagnostic_solution(linearised, in_run)
     p_values = [
         {group: group.p_value(linearised, expected, part) for group in GROUPS} for part in linearised.problem.parts
     ]
