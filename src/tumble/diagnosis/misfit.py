@@ -122,6 +122,7 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     linearised = estimate.linearised
     if linearised is None:
         return ()
+    linearised = _with_estimated_sizes(linearised, estimate)
     session, together = LinearisedSession(linearised), linearised.problem.observations.together
     usual = {
         h.name.removesuffix("_in_run"): _usual_size(h, linearised, UNUSUAL_RATIO) for h in estimate.hyperparameters
@@ -161,6 +162,21 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
         replace(one, sentence=f"by the method joint, {one.sentence}".replace(RANDOM_IN_U, "").replace(IN_U, ""))
         for one in findings
     )
+
+
+def _with_estimated_sizes(linearised: Linearisation, estimate: Estimate) -> Linearisation:
+    """Widen the priors of groups to their sizes by the integral, where these are larger than at the maximum.
+
+    Scatter and large groups may explain the same residuals, with a maximum of the posterior each."""
+    problem, sizes = linearised.problem, {h.name: h.value for h in estimate.hyperparameters}
+    prior_u, usual_u = problem.prior_u.copy(), problem.usual_u
+    for finding in estimate.groups:
+        if finding.name in problem.instrument.members:
+            members = problem.instrument.members[finding.name]
+            places = slice(members.start + 1, members.stop + 1)
+            size = max(finding.prior_widened, sizes.get(finding.name, 1.0))
+            prior_u[places] = np.maximum(prior_u[places], size * usual_u[places])
+    return linearised.with_priors(replace(problem, prior_u=prior_u))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
