@@ -21,6 +21,7 @@ from tumble.diagnosis.verdict import doubtful_time_base, unused_quiet_time, verd
 from tumble.documents import as_json
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
+from tumble.methods.ellipsoid import ellipsoid
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation, Stretch
@@ -56,6 +57,16 @@ def test_groups_at_ten_times_their_size_are_named_and_nothing_scatters(seed: int
     (said,) = (remark for remark in outcome.gyro.remarks if "g-sensitivity" in remark)
     assert said not in outcome.accel.remarks
     assert TypeAdapter[Outcome](OutcomeFromTable).validate_json(json.dumps(as_json(outcome))) == outcome
+
+
+@pytest.mark.parametrize("seed", [14, 24])
+def test_groups_that_are_larger_than_usual_are_named_alone(seed: int) -> None:
+    """By accelerometers alone the maximum has scatter in place of them, which products of forces would explain."""
+    rng, setup = np.random.default_rng([48, seed]), Setup.of(grade="mems", positions=19, rest=10.0, terms="full")
+    sizes = {name: 10.0 * size for name, size in setup.further.items()}
+    observations = simulate_observations(scenario_of(replace(setup, further=sizes), rng), rng).of_accelerometers()
+    found = causes_of(misfit(ellipsoid(replace(observations, usual=setup.further))))
+    assert {"accel.quadratic", "accel.asymmetry"} <= set(found) <= {*OF_READINGS}
 
 
 def test_groups_that_rests_hardly_tell_apart_are_widened_alike() -> None:
