@@ -15,6 +15,7 @@ from pydantic import TypeAdapter
 
 from tests.diagnosis.test_verdict import estimated
 from tests.support.shared import copy_of, session
+from tests.support.wandering_biases import biased, middles, warm_up
 from tumble.diagnosis.findings import causes_of
 from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.verdict import doubtful_time_base, unused_quiet_time, verdict
@@ -31,6 +32,7 @@ from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import group_name
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
+from tumble.units import DEGREE_PER_HOUR
 
 OF_READINGS = ("accel.quadratic", "accel.cubic", "accel.asymmetry", "gyro.asymmetry", "gyro.g_sensitivity")
 
@@ -95,6 +97,16 @@ def test_in_run_biases_of_the_usual_size_are_no_scatter(seed: int) -> None:
     setup = Setup.of(grade="tactical", programme="cube-26", terms="full")
     observations = simulate_observations(scenario_of(setup, rng), rng)
     assert verdict(joint(observations), observations).verdict == "accepted"
+
+
+@pytest.mark.parametrize("seed", [9, 58])
+def test_readings_at_rest_that_scatter_are_no_lost_samples(seed: int) -> None:
+    """Gyros that warm up by 500 °/h scatter at rest alone."""
+    rng, setup = np.random.default_rng([81, seed]), Setup.of(grade="mems", positions=17, rest=5.0, terms="full")
+    observations = simulate_observations(scenario_of(setup, rng), rng)
+    warming = warm_up(200.0)
+    change = np.column_stack([500.0 * DEGREE_PER_HOUR * warming(rng, middles(observations)) for _ in range(3)])
+    assert causes_of(misfit(joint(biased(observations, 0.0 * change, change)))) == ("drift",)
 
 
 def test_a_drift_is_said_as_large_as_the_result_has_it() -> None:
