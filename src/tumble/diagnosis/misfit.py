@@ -2,9 +2,9 @@
 
 An estimate is accepted with scatter if a group of residuals exceeds the noise within rests and the usual in-run biases,
 if a cause is significant (`tumble.diagnosis.causes`), or if biases or scale factors vary far more than usual. All tests
-together find something in less than one of a hundred clean sessions. An estimate is refused if its uncertainty cannot be trusted: if leaving
-out a significant cause moves a parameter of the linear model by more than LARGEST_DAMAGE of its u, since this error is
-not random. Groups that it moves by less than ACCEPTED_DAMAGE are accepted all the same.
+together find something in less than one of a hundred clean sessions. An estimate is refused if its uncertainty cannot
+be trusted: if leaving out a significant cause moves a parameter of the linear model by more than LARGEST_DAMAGE of its
+u, since this error is not random. Groups that it moves by less than ACCEPTED_DAMAGE are accepted all the same.
 """
 
 from __future__ import annotations
