@@ -55,7 +55,7 @@ from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.rests.rests import sphere_through
 from tumble.reduction.rests.segmentation import Stretch, find_rests
 from tumble.rotation import unit_vector
-from tumble.run.observed import LARGEST_SQUARED, Progress
+from tumble.run.observed import FEWEST_RESTS, LARGEST_SQUARED, Progress
 from tumble.sensors.model import Block
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array
 
@@ -64,6 +64,8 @@ _CLIPPED_RUN, _BELOW_CLIPPING = 3, 0.97  # largest readings in a row; part of th
 _NO_OFFSET, _LEAST_SINGULAR, _ALIKE = 0.3, 0.05, 0.05  # of gravity; of the largest singular value; of gravity
 _LENGTH_IN_MOTION_U = 0.2
 """Relative standard uncertainty of gravity as the median magnitude of accelerometers that are never at rest."""
+_VERTICAL_IN_MOTION, _TURN_IN_MOTION = 0.15, 1.5
+"""Standard deviation of a vertical in motion, rad: 1.5 m/s² of a hand; s between two verticals."""
 _UNEVEN, _CENTRE_STEPS = 0.01, 4
 """Relative differences of readings of one g between attitudes, without offsets; number of Gauss–Newton steps."""
 _TURN_QUANTILE = 0.8  # of the readings in a turn; it represents the middle of the turn
@@ -111,6 +113,11 @@ class Evidence:
     profiles: tuple[TurnLikelihood, ...] = ()
 
     @property
+    def information(self) -> float:
+        """Decrease of the cost by which the turns tell rotation from none; 0 without turns."""
+        return max((profile.unturned - profile.least for profile in self.profiles), default=0.0)
+
+    @property
     def bias(self) -> Array:
         """Median reading of the gyros at rest (3,)."""
         return np.median(self.gyro, axis=0) if len(self.gyro) else np.zeros(3)
@@ -141,7 +148,9 @@ def gather_evidence(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -
         unknown = Evidence(rate=reduction.rate, length=1.0, length_u=_LENGTH_IN_MOTION_U)
         return replace(unknown, gyro=middle[None], gyro_scatter=scatter)
     trials = [_evidence_at(reduction, factor, draft.magnitude, widths) for factor in factors]
-    return max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
+    best = max(trials, key=lambda trial: (trial.information, trial.rests))
+    in_motion = best.rests < FEWEST_RESTS and best.information < widths.near
+    return _evidence_in_motion(reduction, best, widths) if in_motion else best
 
 
 def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Evidence:
@@ -179,6 +188,31 @@ def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: 
         gyro_scatter=scatters[1],
         turning=float(np.median(turn_readings)) if turns else 0.0,
         profiles=turn_likelihoods(turns, widths),
+    )
+
+
+def _evidence_in_motion(reduction: Reduction, at_rest: Evidence, widths: Widths) -> Evidence:
+    """Return evidence with the turns of a device that hardly rests, between the blocks of every second or two whose
+    specific force is nearest to gravity, which is the vertical to within `_VERTICAL_IN_MOTION`."""
+    spans, up, length = list[Stretch](), list[Array](), at_rest.length
+    every = max(round(_TURN_IN_MOTION / reduction.block_seconds), 2)
+    for file in reduction.files:
+        force = file.accel.means - at_rest.zero
+        for start in range(0, len(force) - every + 1, every):
+            off = np.abs(np.linalg.norm(force[start : start + every], axis=1) / length - 1.0)
+            block = start + int(np.argmin(off))
+            if off.min() < _VERTICAL_IN_MOTION:
+                spans.append(Stretch.of_blocks(file, (block, block + 1)))
+                up.append(unit_vector(force[block]))
+    if not spans or not reduction.gyro_channels:
+        return at_rest
+    turns = _turns(reduction, tuple(spans), np.array(up), at_rest.bias[None])
+    readings = [np.quantile(np.linalg.norm(sums, axis=1), _TURN_QUANTILE) for sums, _, _ in turns]
+    return replace(
+        at_rest,
+        turns=len(turns),
+        turning=float(np.median(readings)) if turns else 0.0,
+        profiles=turn_likelihoods(turns, replace(widths, vertical=_VERTICAL_IN_MOTION)),
     )
 
 
