@@ -32,6 +32,7 @@ from tumble.diagnosis.turn_likelihood import (
     Widths,
     cost_of_free_scale,
     ends_tilted,
+    least_cost,
     turn_likelihoods,
 )
 from tumble.drafting.draft import Draft
@@ -149,8 +150,10 @@ def gather_evidence(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -
         return replace(unknown, gyro=middle[None], gyro_scatter=scatter)
     trials = [_evidence_at(reduction, factor, draft.magnitude, widths) for factor in factors]
     best = max(trials, key=lambda trial: (trial.information, trial.rests))
-    in_motion = best.rests < FEWEST_RESTS and best.information < widths.near
-    return _evidence_in_motion(reduction, best, widths) if in_motion else best
+    least = min((profile.least for profile in best.profiles), default=0.0)
+    if best.rests >= FEWEST_RESTS or least < 0.5 * least_cost(best.turns, widths):
+        return best
+    return max(best, _evidence_in_motion(reduction, best, widths), key=lambda evidence: evidence.information)
 
 
 def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Evidence:
@@ -192,18 +195,18 @@ def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: 
 
 
 def _evidence_in_motion(reduction: Reduction, at_rest: Evidence, widths: Widths) -> Evidence:
-    """Return evidence with the turns of a device that hardly rests, between the blocks of every second or two whose
-    specific force is nearest to gravity, which is the vertical to within `_VERTICAL_IN_MOTION`."""
-    spans, up, length = list[Stretch](), list[Array](), at_rest.length
+    """Return evidence with the turns of a device that hardly rests, between the pairs of blocks of every second or two
+    whose specific force is nearest to gravity: it is the vertical to within `_VERTICAL_IN_MOTION`."""
+    spans, up = list[Stretch](), list[Array]()
     every = max(round(_TURN_IN_MOTION / reduction.block_seconds), 2)
     for file in reduction.files:
-        force = file.accel.means - at_rest.zero
+        force = 0.5 * (file.accel.means[1:] + file.accel.means[:-1]) - at_rest.zero
+        off = np.abs(np.linalg.norm(force, axis=1) / at_rest.length - 1.0)
         for start in range(0, len(force) - every + 1, every):
-            off = np.abs(np.linalg.norm(force[start : start + every], axis=1) / length - 1.0)
-            block = start + int(np.argmin(off))
-            if off.min() < _VERTICAL_IN_MOTION:
-                spans.append(Stretch.of_blocks(file, (block, block + 1)))
-                up.append(unit_vector(force[block]))
+            pair = start + int(np.argmin(off[start : start + every]))
+            if off[pair] < _VERTICAL_IN_MOTION:
+                spans.append(Stretch.of_blocks(file, (pair + 1, pair + 1)))
+                up.append(unit_vector(force[pair]))
     if not spans or not reduction.gyro_channels:
         return at_rest
     turns = _turns(reduction, tuple(spans), np.array(up), at_rest.bias[None])
