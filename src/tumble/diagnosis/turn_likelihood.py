@@ -109,9 +109,9 @@ def ends_tilted(before: Array, behind: Array) -> bool:
     return bool(before @ behind < TILTED)
 
 
-def least_cost(turns: int, widths: Widths = WIDTHS) -> float:
-    """Return the cost of a number of short turns that carry the vertical exactly."""
-    return -2.0 * turns * math.log(2.0 / widths.vertical**2)
+def least_cost(turns: int, vertical: float) -> float:
+    """Return the cost of a number of short turns that carry verticals with this standard deviation, rad, exactly."""
+    return -2.0 * turns * math.log(2.0 / vertical**2)
 
 
 def turn_likelihoods(
@@ -176,7 +176,7 @@ def turn_likelihoods(
 
     stated, *exchanges = signed_permutations()
     (first,) = likelihoods([stated], GRID, 1, MOST_TURNS)
-    if first.least < 0.5 * least_cost(len(turns), widths):
+    if first.least < 0.5 * least_cost(len(turns), widths.vertical):
         return (first,)
     rough = sorted(likelihoods(exchanges, COARSE * GRID, COARSE, MOST_TURNS // 2), key=lambda p: p.least)
     return first, *likelihoods([p.exchange for p in rough[:MOST_EXCHANGES]], GRID, 1, MOST_TURNS)

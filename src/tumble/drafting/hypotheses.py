@@ -114,14 +114,13 @@ class Evidence:
     profiles: tuple[TurnLikelihood, ...] = ()
 
     @property
-    def information(self) -> float:
-        """Decrease of the cost by which the turns tell rotation from none; 0 without turns."""
-        return max((profile.unturned - profile.least for profile in self.profiles), default=0.0)
-
-    @property
     def bias(self) -> Array:
         """Median reading of the gyros at rest (3,)."""
         return np.median(self.gyro, axis=0) if len(self.gyro) else np.zeros(3)
+
+    def is_good(self, vertical: float) -> bool:
+        """Return True if rotations explain the turns, between verticals with this standard deviation, rad."""
+        return min((p.least for p in self.profiles), default=0.0) < 0.5 * least_cost(self.turns, vertical)
 
 
 def gather_evidence(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Evidence:
@@ -149,11 +148,11 @@ def gather_evidence(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -
         unknown = Evidence(rate=reduction.rate, length=1.0, length_u=_LENGTH_IN_MOTION_U)
         return replace(unknown, gyro=middle[None], gyro_scatter=scatter)
     trials = [_evidence_at(reduction, factor, draft.magnitude, widths) for factor in factors]
-    best = max(trials, key=lambda trial: (trial.information, trial.rests))
-    least = min((profile.least for profile in best.profiles), default=0.0)
-    if best.rests >= FEWEST_RESTS or least < 0.5 * least_cost(best.turns, widths):
+    best = max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
+    if best.rests >= FEWEST_RESTS or best.is_good(widths.vertical):
         return best
-    return max(best, _evidence_in_motion(reduction, best, widths), key=lambda evidence: evidence.information)
+    moving = _evidence_in_motion(reduction, best, widths)
+    return moving if moving.turns >= FEWEST_RESTS and moving.is_good(_VERTICAL_IN_MOTION) else best
 
 
 def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Evidence:
