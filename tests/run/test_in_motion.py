@@ -11,6 +11,7 @@ import pytest
 import tumble
 from tests.support.moving import G, Motion, Noise, Recording, record
 from tumble.diagnosis.verdict import unused_quiet_time
+from tumble.errors import InputError
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import linearise
 from tumble.inference.problem import Point, Problem, instruments_of
@@ -320,3 +321,13 @@ def test_warmth_in_motion_is_said(motion: Motion, kelvin: float) -> None:
         assert len(notes) == (change > 1.0)
         assert all("biases are followed in time" in note for note in notes)
         assert not any(".t1" in p.name for p in calibration.parameters)
+
+
+def test_sessions_in_motion_are_launches_and_no_one_estimate() -> None:
+    sessions = []
+    for seed in (1, 2):
+        made = record(replace(PIVOT, seconds=30.0), seed)
+        arrays = {"accel": made.accel, "gyro": made.gyro, "temperature": np.full(len(made.gyro), 298.0)}
+        sessions.append(session_of_arrays(**arrays, rate=made.rate, gravity=G, serial="A"))
+    with pytest.raises(InputError, match="expected rests, found a device in motion; .* as launches, without --together"):
+        tumble.calibrate_together(sessions)
