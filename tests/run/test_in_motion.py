@@ -97,6 +97,14 @@ def test_the_lever_is_found() -> None:
     np.testing.assert_allclose(found, [100.0, 50.0, -30.0], atol=3.0)
 
 
+@pytest.mark.parametrize("motion", [replace(PIVOT, follows=0.01), replace(PIVOT, bends=0.015)], ids=["sags", "bends"])
+def test_a_stand_that_gives_way_is_among_the_unknowns(motion: Motion) -> None:
+    recording = record(motion, 2)
+    z = errors(recording, calibrated(recording))
+    assert np.sqrt((z**2).mean()) < 1.4
+    assert np.abs(z).max() < 3.5
+
+
 def test_little_motion_is_refused_with_what_would_help() -> None:
     calibration = calibrated(record(replace(HAND, seconds=30.0, rate=np.radians(10.0)), 1))
     outcome, shown = calibration.outcome, text_of(calibration_blocks(calibration), 100)
