@@ -21,9 +21,9 @@ in-run bias within the session. For a slowly changing bias, a session of length 
 
     σ_b² (1 − 2 (x − 1 + e^{−x})/x²),   x = T/τ
 
-about its mean, and the density along σ_b at a time τ is that with an equal w. The average information used is the
-geometric mean of that along φ_i and that of its marginal. For a size of a group the density is ℓ along it through the
-maximum; of λ = exp(max(p, 0)), half of the density is the prior of p < 0.
+about its mean, and the density along σ_b at a time τ is that with an equal w. The likelihood in F_i is stretched about
+the maximum by the root of the ratio of the standard deviations of φ_i with other elements free and held. For a size of
+a group the density is ℓ along it through the maximum; of λ = exp(max(p, 0)), half of the density is the prior of p < 0.
 
 The points z are two fixed low-discrepancy sequences, each transformed to have exactly the mean and covariance of the
 normal distribution, so that a result is reproducible to the last digit. The weights w ∝ e^ℓ/q of the points of ψ, each
@@ -86,12 +86,13 @@ from tumble.units import Array, IntArray
 MOST_PARAMETERS = 200  # limit for integration: a point of a larger array costs a hundred times as much
 FIRST_POINTS = 32  # points of ψ in the first round, of both sequences; twice as many without sizes of groups
 SPARE_POINTS = 3  # least number of points of a sequence beyond the elements of ψ, for a covariance of full rank
-ROUND_POINTS, ROUNDS = 64, 13  # points of each sequence in further rounds, and largest number of rounds
+ROUND_POINTS, GROWTH = 24, 1.0 / 3.0  # least number of points in a further round, relative to those so far
+MOST_POINTS = 850  # points of a sequence from which no round follows
 SIZES = 16  # sizes of groups folded into the triangle of each point
 LARGEST_ERROR = 0.1  # sampling error, in u, above which more points are taken, and finally reported
-# Least effective number of points of a sequence: fewer may agree by chance. After the first round the proposal depends
-# on the points themselves.
-FIRST_EFFECTIVE, ROUND_EFFECTIVE = 4.0, 32.0
+# Fewer points may agree by chance: least effective number of each sequence in the first round and of both together in
+# further rounds, where the proposal depends on the points themselves, and largest reliable shape (Vehtari et al.).
+FIRST_EFFECTIVE, ROUNDS_EFFECTIVE, LARGEST_SHAPE = 4.0, 24.0, 0.7
 TEMPERED = 0.35  # largest effective share of points to which weights are tempered for the next proposal
 # Covariance of the next proposal: share of its correlations that is used, variance added, in that of the copula, and
 # factor on the sum, because a wide proposal costs less than a narrow one.
@@ -158,11 +159,13 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
         return _at_maximum(fitted, contributions(fitted.solution) if by_source else {})
     count = max((1 if len(proposal.inner) else 2) * FIRST_POINTS // 2, len(proposal.outer) + SPARE_POINTS)
     for draws in zip(*(_rounds(fitted, proposal, count, sequence) for sequence in (0, 1)), strict=True):
-        error = _sampling_error(*draws)
-        least = FIRST_EFFECTIVE if len(draws[0].phi) == count else ROUND_EFFECTIVE
-        if error < LARGEST_ERROR and min(sequence.effective for sequence in draws) > least:
+        both, error = Draws.joined(draws), _sampling_error(*draws)
+        if len(draws[0].phi) == count:
+            enough = min(sequence.effective for sequence in draws) > FIRST_EFFECTIVE
+        else:
+            enough = both.effective > ROUNDS_EFFECTIVE and both.smoothed_weights[1] < LARGEST_SHAPE
+        if enough and error < LARGEST_ERROR:
             break
-    both = Draws.joined(draws)
     mean, within, between = both.moments()
     sources = scaled_to(contributions(_typical_solution(fitted, both)), within) | {"hyperparameters": between}
     covariance = np.sum(list(sources.values()), axis=0)
@@ -285,13 +288,13 @@ class Proposal:
         value, vectors = np.linalg.eigh(B / np.outer(size, size))
         covariance = (vectors / np.maximum(value, 0.1)) @ vectors.T
         marginal = np.sqrt(covariance.diagonal())
-        correlations, curvature = np.eye(len(hyperparameters)), fitted.curvature.diagonal().copy()
+        correlations, stretch = np.eye(len(hyperparameters)), np.ones(len(hyperparameters))
         correlations[np.ix_(free, free)] = covariance / np.outer(marginal, marginal)
-        curvature[free] = size**2 / marginal
+        stretch[free] = np.sqrt(marginal)
         densities |= _time_densities(fitted, spread)
         for i in (element for element in outer if element not in densities):
             h = hyperparameters[i]
-            density = partial(_variance_density, h, phi[i], tuple(forms[:, i]), curvature[i])
+            density = partial(_variance_density, h, phi[i], tuple(forms[:, i]), fitted.curvature[i, i], stretch[i])
             if i in times:
                 in_run[i] = times[i], density
             else:
@@ -347,18 +350,24 @@ def _spread_in_session(noise: NoiseModel, log_time: Array) -> Array:
 
 
 def _variance_density(
-    h: Hyperparameter, phi: float, forms: tuple[float, float], curvature: float, shift: float | Array = 0.0
+    h: Hyperparameter,
+    phi: float,
+    forms: tuple[float, float],
+    curvature: float,
+    stretch: float,
+    shift: float | Array = 0.0,
 ) -> Density:
     """Return the density along ln σ from the quadratic forms of σ² and minus the second derivative of ℓ at the maximum.
 
-    At a `shift` (or stack of them) the standard deviation in the session is exp(shift) times that at the maximum."""
+    The likelihood is stretched about the maximum. At a `shift` (or stack of them) the standard deviation in the session
+    is exp(shift) times that at the maximum."""
     square, trace = max(forms[0], 1e-6), max(forms[1], 1e-6)
     informed = curvature - float(h.log_prior(np.array(phi))[2])
     share = float(np.clip(informed / (2.0 * square), 1e-3, 1.0 - 1e-6))  # 1/(u + 1)
-    half = REACH * float(np.clip(curvature**-0.5, 0.5, 1.5))
+    half = REACH * float(np.clip(stretch * curvature**-0.5, 0.5, 1.5))
     grid = np.linspace(min(-3.0 * h.within, phi - half) if h.bounded else phi - half, phi + half, GRID)
     above = np.maximum(grid, 0.0) - max(phi, 0.0) if h.bounded else grid - phi
-    w = 1.0 / share - 1.0 + np.exp(2.0 * (above + np.asarray(shift)[..., None]))
+    w = 1.0 / share - 1.0 + np.exp(2.0 * (above + np.asarray(shift)[..., None]) / stretch)
     likelihood = -0.5 * trace / share * np.log(w) - 0.5 * square / share**2 / w
     return Density.of(grid, h.log_prior(grid)[0] + likelihood)
 
@@ -376,7 +385,12 @@ def _time_densities(fitted: Maximum, spread: Callable[[Array], Array]) -> dict[i
         rows[:, time] = knots[-1]
         rows[:, size] += spread(phi[time]) - spread(knots[-1])
     flat = points.reshape(-1, len(phi))
-    log_posterior = solution_at(fitted.linearisation, hyperparameters, flat).log_posterior
+    log_posterior = np.concatenate(
+        [
+            solution_at(fitted.linearisation, hyperparameters, part).log_posterior
+            for part in _in_parts(fitted.linearisation, flat)
+        ]
+    )
     likelihood = (log_posterior - hyperparameters.log_prior(flat)[0].sum(axis=-1)).reshape(points.shape[:2])
     for time, x, y in zip(times.values(), knots, likelihood, strict=True):
         h = hyperparameters[time]
@@ -456,14 +470,20 @@ def triangles(
     linearisation: Linearisation, hyperparameters: Hyperparameters, phi: Array, members: IntArray
 ) -> Triangles:
     """Return the triangles at φ (K, D) without the priors of the parameters `members` (g,)."""
-    count, out = max(1, RESTS_AT_ONCE // len(linearisation.problem.link)), list[Triangles]()
-    for first in range(0, len(phi), count):
-        problem, components = scaled(linearisation.problem, hyperparameters, phi[first : first + count])
+    out = list[Triangles]()
+    for part in _in_parts(linearisation, phi):
+        problem, components = scaled(linearisation.problem, hyperparameters, part)
         open_u = problem.prior_u.copy()
         open_u[:, 1 + members] = np.inf
         here = linearisation.with_priors(problem.with_sizes(open_u, problem.local_u)).with_components(components)
         out.append(_triangles(here, 1 + members))
     return Triangles.joined(out)
+
+
+def _in_parts(linearisation: Linearisation, phi: Array) -> Iterator[Array]:
+    """Return the points φ (K, D) in parts that are computed together."""
+    count = max(1, RESTS_AT_ONCE // len(linearisation.problem.link))
+    return (phi[first : first + count] for first in range(0, len(phi), count))
 
 
 def _triangles(here: Linearisation, places: IntArray) -> Triangles:
@@ -680,15 +700,15 @@ def _sampling_error(first: Draws, second: Draws) -> float:
 
 
 def _rounds(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Iterator[Draws]:
-    """Yield all draws of one sequence after each round: `count` points of the copula, then ROUND_POINTS per round."""
+    """Yield all draws of one sequence after each round: `count` points of the copula, then by GROWTH per round."""
     D = len(proposal.outer)
     components: list[tuple[Array, Array]] = [(np.zeros(D), np.eye(D))]  # mean of n and root of its covariance
     counts, normal, draws = [count], np.zeros((0, D)), list[Draws]()
-    for number in range(ROUNDS):
-        mean, root = components[-1]
-        new = mean + normal_points(counts[-1], D, sequence + 2 * number) @ root.T
+    while len(normal) < MOST_POINTS:
+        (mean, root), number = components[-1], sequence + 2 * len(draws)
+        new = mean + normal_points(counts[-1], D, number) @ root.T
         normal = np.concatenate([normal, new])
-        draws.append(_draw(fitted, proposal, new, sequence + 2 * number))
+        draws.append(_draw(fitted, proposal, new, number))
         joined = Draws.joined(draws)
         log_share = np.log(counts) - np.log(len(normal))
         mixture = np.array([_log_normal(normal, *component) for component in components]) + log_share[:, None]
@@ -701,7 +721,7 @@ def _rounds(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> I
         diagonal = (1.0 - SHRINKAGE) * covariance.diagonal() + ADDED_VARIANCE
         wider = INFLATION * (SHRINKAGE * covariance + np.diag(diagonal))
         components.append((mean, np.asarray(np.linalg.cholesky(wider))))
-        counts.append(ROUND_POINTS)
+        counts.append(max(ROUND_POINTS, D + SPARE_POINTS, int(GROWTH * len(normal))))
 
 
 def _log_normal(points: Array, mean: Array, root: Array) -> Array:

@@ -11,9 +11,9 @@ docs/explanation/mathematics.md (23), (28) and (29).
     x   Gauss–Newton: x ← x + argmin of the residuals linearised at x. Turns are integrated again about the current
         parameters wherever the second-order effect of the change since the last integration matters.
     φ   at fixed residuals a trust region: s = B⁻¹γ, |s|∞ ≤ Δ, with the analytic gradient γ. B is the average
-        information at first, then updated by BFGS; once these steps have settled it is the average information there,
-        and if φ has not settled the iteration goes on. Sizes λ = exp(max(p, 0)) keep p ≥ 0, because the data do not
-        depend on p below.
+        information at first, and after a linearisation where φ has not settled; BFGS then updates it. Once these
+        steps have settled, B is the average information there, and if φ has not settled the iteration goes on. Sizes
+        λ = exp(max(p, 0)) keep p ≥ 0, because the data do not depend on p below.
 
 The iteration ends when a step of x is negligible relative to u (CONVERGED) and ½ γᵀB⁻¹γ, the expected gain of ℓ, is
 below GAIN per element of φ (`Status.converged`), or when it runs out of steps, which is no result.
@@ -76,6 +76,7 @@ UNSEEN = 0.2  # rad: standard deviation above which a heading is not observed by
 TO_AND_FRO = 6
 PLACE_UNKNOWN = 1e-3  # relative u of gravity of an unknown place, three times that of normal gravity anywhere
 BEYOND = 3.0  # ratio of scatter or a size to the usual from which `maximise_from_starts` tries other starts
+NOT_ABSORBING = "mag", "displacement", "displacement_time"  # elements of φ that do not absorb errors of sensors
 USELESS = {"turn": 0.3, "velocity": 3.0}  # rad and m/s: turns of such scatter have no information
 WIDE = 3.0  # prior standard deviations of p from which sizes of groups start
 ANEW = 3.0  # s: correlation time of biases that change at every rest
@@ -175,6 +176,7 @@ def maximise(
         solution = solution_at(linearisation, hyperparameters, phi)
         near = near or len(increments) >= FAR_STEPS or negligible(solution, NEAR)
         if near:
+            B = B if phi_settled else None  # after steps that ran out, B by BFGS is poor
             solution, B, radius, phi_settled = maximise_phi(hyperparameters, solution, B, radius)
         phi = solution.phi
         if known is not None and near and len(phi) == len(known.phi):
@@ -273,9 +275,9 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
     hyperparameters, starts = best.hyperparameters, list[tuple[float, Array]]()
     centre = np.array([h.centre for h in hyperparameters])
     sizes = {h.name: float(h.value(p)) for h, p in zip(hyperparameters, best.phi, strict=True)}
-    far = [h for h in hyperparameters if sizes[h.name] > BEYOND * h.usual and not isinstance(h, CorrelationTime)]
-    far = [h for h in far if h.name != "mag"]  # the magnetometer does not absorb errors of others
-    share = start.problem.bias_after
+    absorbing = [h for h in hyperparameters if not (isinstance(h, CorrelationTime) or h.name in NOT_ABSORBING)]
+    far = [h for h in absorbing if sizes[h.name] > BEYOND * h.usual]
+    share, turns = start.problem.bias_after, len(start.problem.before_turn) > 0
     if any(isinstance(h, (Scatter, GroupSize)) for h in far):
         useless = [np.log(USELESS[h.name]) if h.name in USELESS else h.centre for h in hyperparameters]
         starts.append((share, np.array(useless)))
@@ -286,13 +288,15 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
     if scatters or any(isinstance(h, InRunSize) for h in far):
         anew = best.phi.copy()
         for i, h in enumerate(hyperparameters):
+            if h.name in NOT_ABSORBING:
+                continue
             if isinstance(h, CorrelationTime):
                 anew[i] = np.log(ANEW)
             elif isinstance(h, InRunSize):
                 anew[i] = np.log(np.hypot(sizes[h.name], sizes.get(h.name.removesuffix("_in_run"), 0.0)))
             elif h.name in REST_SCATTER:
                 anew[i] = h.centre
-        starts += [(0.0, anew), (1.0, anew)]
+        starts += [(0.0, anew), (1.0, anew)] if turns else [(share, anew)]
     for bias_after, phi in starts:
         problem = replace(start.problem, bias_after=bias_after)
         known = best if bias_after == best.linearisation.problem.bias_after else None
