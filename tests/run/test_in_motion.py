@@ -337,5 +337,5 @@ def test_sessions_in_motion_are_launches_and_no_one_estimate() -> None:
         made = record(replace(PIVOT, seconds=30.0), seed)
         arrays = {"accel": made.accel, "gyro": made.gyro, "temperature": np.full(len(made.gyro), 298.0)}
         sessions.append(session_of_arrays(**arrays, rate=made.rate, gravity=G, serial="A"))
-    with pytest.raises(InputError, match="expected rests, found a device in motion; .* as launches"):
+    with pytest.raises(InputError, match=r"expected rests, found a device in motion; .* as launches"):
         tumble.calibrate_together(sessions)

@@ -13,8 +13,8 @@ Gaussian of width s relative to a uniform one over the orders of magnitude that 
 
 The log is read once, as raw numbers at a rate that may be wrong. Rests are found by the accelerometers, whose relative
 scatter needs no unit. They give the length of gravity, the zero of the accelerometers and the gyros' readings at rest;
-the turns between them give the likelihood of Q (`turn_likelihood`). If rests are few and their turns do not fit, moments
-of about 1 g in motion take their place.
+the turns between them give the likelihood of Q (`turn_likelihood`). If rests are few and their turns do not fit,
+moments of about 1 g in motion take their place.
 """
 
 from __future__ import annotations
