@@ -335,7 +335,11 @@ def test_sessions_in_motion_are_launches_and_no_one_estimate() -> None:
     sessions = []
     for seed in (1, 2):
         made = record(replace(PIVOT, seconds=30.0), seed)
-        arrays = {"accel": made.accel, "gyro": made.gyro, "temperature": np.full(len(made.gyro), 298.0)}
-        sessions.append(session_of_arrays(**arrays, rate=made.rate, gravity=G, serial="A"))
+        warmth = np.full(len(made.gyro), 298.0)
+        sessions.append(
+            session_of_arrays(
+                accel=made.accel, gyro=made.gyro, rate=made.rate, temperature=warmth, gravity=G, serial="A"
+            )
+        )
     with pytest.raises(InputError, match=r"expected rests, found a device in motion; .* as launches"):
         tumble.calibrate_together(sessions)
