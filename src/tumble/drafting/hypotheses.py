@@ -64,6 +64,8 @@ from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array
 _TRIAD = Block(kind="accel", axes=np.eye(3))
 _CLIPPED_RUN, _BELOW_CLIPPING = 3, 0.97  # largest readings in a row; part of the largest reading
 _NO_OFFSET, _LEAST_SINGULAR, _ALIKE = 0.3, 0.05, 0.05  # of gravity; of the largest singular value; of gravity
+_LARGEST_UNEVEN, _LEAST_EXTENT = 0.1, 0.75
+"""Of gravity, for a sphere with any centre: scatter of the lengths, and extent of the readings of each sensor."""
 _LENGTH_IN_MOTION_U = 0.2
 """Relative standard uncertainty of gravity as the median magnitude of accelerometers that are never at rest."""
 _VERTICAL_IN_MOTION, _TURN_IN_MOTION = 0.15, 1.5
@@ -234,10 +236,13 @@ def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float
         in_table = alike and log_distance_to_table(ACCEL, length) < SCALE_TOLERANCE
         if singular[2] > _LEAST_SINGULAR * singular[0] and not in_table:
             centre, radius = sphere_through(means)
+            uneven = float(np.linalg.norm(means - centre, axis=1).std()) / radius
+            is_sphere = uneven < _LARGEST_UNEVEN and np.ptp(means, axis=0).min() > _LEAST_EXTENT * radius
             middles = MIDDLES if (means > 0.0).all() else ()
             nominal = next((m for m in (0.0, *middles) if np.abs(centre - m).max() < _NO_OFFSET * radius), None)
-            zero = centre if nominal is None else np.full(3, nominal)
-            offset = np.inf if nominal is None else max(offset, float(np.abs(centre - zero).max()) / radius)
+            if nominal is not None or is_sphere:
+                zero = centre if nominal is None else np.full(3, nominal)
+                offset = np.inf if nominal is None else max(offset, float(np.abs(centre - zero).max()) / radius)
     centre, length_u = zero, offset
     length = float(np.median(np.linalg.norm(means - zero, axis=1)))
     for _ in range(_CENTRE_STEPS if length > 0.0 else 0):
