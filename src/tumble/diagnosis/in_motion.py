@@ -14,13 +14,16 @@ import numpy as np
 import scipy
 
 from tumble.diagnosis.findings import Finding, refusal
+from tumble.diagnosis.misfit import unusual_groups
 from tumble.diagnosis.projection import FALSE_ALARMS
+from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.estimate import Estimate
 from tumble.inference.problem import LEVER_COLUMNS, SUPPORT_COLUMNS, SUPPORT_U
 from tumble.reduction.observations import Observations
 
 IN_MOTION = "calibrated in motion"  # start of the note on a result from motion
 MOST_NAMED = 4
+LEAST_GAIN = 0.8  # ratio of u with motion to that without, geometric mean; two minutes in one place reach 0.05 to 0.5
 LARGEST_DISPLACEMENT = 0.3  # m: a larger one contradicts the model of a device that stays in one place
 
 
@@ -48,6 +51,25 @@ def in_motion(estimate: Estimate, observations: Observations, missing: tuple[str
         )
     elif displacement > LARGEST_DISPLACEMENT and not missing:
         yield refusal(f"the device moved by {displacement:.1f} m in motion: keep it in one place")
+    yield from unusual_groups(estimate)
+
+
+def improves(moving: Estimate, at_rest: Estimate) -> bool:
+    """Return True if an estimate from motion is to be preferred to that from the rests and turns of its recording.
+
+    Motion adds that the device stays in one place. If it was laid by hand from face to face, the unknowns of its
+    support and the sizes of groups follow its way instead. Rests and turns do not depend on the place: if the device
+    stays there, the values differ by Δ ~ N(0, C_r − C_m), and Δᵀ C_r⁻¹ Δ is at most χ² with as many degrees of freedom
+    as there are parameters (Hausman 1978, Econometrica 46, 1251-1271). Where rests and turns determine all linear
+    parameters, motion must also reduce u."""
+    n = len(linear_names(at_rest.names))
+    change = moving.values[:n] - at_rest.values[:n]
+    square = float(change @ np.linalg.solve(at_rest.covariance[:n, :n], change))
+    if scipy.special.chdtrc(n, square) < FALSE_ALARMS:
+        return False
+    gain = float(np.exp(np.log(moving.u[:n] / at_rest.u[:n]).mean()))
+    complete = moving.converged and not linear_names(moving.unobservable)
+    return (complete and gain < LEAST_GAIN) or bool(linear_names(at_rest.unobservable))
 
 
 def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
