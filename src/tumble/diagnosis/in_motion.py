@@ -59,17 +59,18 @@ def improves(moving: Estimate, at_rest: Estimate) -> bool:
 
     Motion adds that the device stays in one place. If it was laid by hand from face to face, the unknowns of its
     support and the sizes of groups follow its way instead. Rests and turns do not depend on the place: if the device
-    stays there, the values differ by Δ ~ N(0, C_r − C_m), and Δᵀ C_r⁻¹ Δ is at most χ² with as many degrees of freedom
-    as there are parameters (Hausman 1978, Econometrica 46, 1251-1271). Where rests and turns determine all linear
-    parameters, motion must also reduce u."""
+    stays there, the values that they determine differ by Δ ~ N(0, C_r − C_m), and Δᵀ C_r⁻¹ Δ is at most χ² with as many
+    degrees of freedom as there are values (Hausman 1978, Econometrica 46, 1251-1271). Where rests and turns determine
+    all linear parameters, motion must also reduce u."""
     n = len(linear_names(at_rest.names))
-    change = moving.values[:n] - at_rest.values[:n]
-    square = float(change @ np.linalg.solve(at_rest.covariance[:n, :n], change))
-    if scipy.special.chdtrc(n, square) < FALSE_ALARMS:
+    known = np.flatnonzero(at_rest.observable[:n])
+    change = moving.values[known] - at_rest.values[known]
+    square = float(change @ np.linalg.solve(at_rest.covariance[np.ix_(known, known)], change))
+    if len(known) and scipy.special.chdtrc(len(known), square) < FALSE_ALARMS:
         return False
     gain = float(np.exp(np.log(moving.u[:n] / at_rest.u[:n]).mean()))
     complete = moving.converged and not linear_names(moving.unobservable)
-    return (complete and gain < LEAST_GAIN) or bool(linear_names(at_rest.unobservable))
+    return len(known) < n or (complete and gain < LEAST_GAIN)
 
 
 def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
