@@ -70,7 +70,7 @@ def improves(moving: Estimate, at_rest: Estimate) -> bool:
         return False
     gain = float(np.exp(np.log(moving.u[:n] / at_rest.u[:n]).mean()))
     complete = moving.converged and not linear_names(moving.unobservable)
-    return len(known) < n or (complete and gain < LEAST_GAIN)
+    return bool(linear_names(at_rest.unobservable)) or (complete and gain < LEAST_GAIN)
 
 
 def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
