@@ -110,8 +110,8 @@ def record(
 
 
 def lay(
-    ups: Array, seed: int, *, tilt: float = np.radians(1.0), lift: float = 0.15, rest: tuple[float, float] = (6.0, 12.0),
-    move: tuple[float, float] = (2.5, 6.0), further: float = 1.0,
+    ups: Array, seed: int, *, tilt: float = np.radians(1.0), lift: float = 0.15,
+    rest: tuple[float, float] = (6.0, 12.0), move: tuple[float, float] = (2.5, 6.0), further: float = 1.0,
 ) -> Recording:  # fmt: skip
     """A recording of an instrument that is laid by hand from one face to the next, up along `ups` (R, 3) in the body
     but for `tilt` rad, in any heading. It rests for `rest` s; in between, within `move` s, it is lifted by about `lift`

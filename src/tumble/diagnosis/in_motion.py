@@ -20,6 +20,7 @@ from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.estimate import Estimate
 from tumble.inference.problem import LEVER_COLUMNS, SUPPORT_COLUMNS, SUPPORT_U
 from tumble.reduction.observations import Observations
+from tumble.sensors.parameters import group_name, within_kind
 
 IN_MOTION = "calibrated in motion"  # start of the note on a result from motion
 MOST_NAMED = 4
@@ -59,11 +60,12 @@ def improves(moving: Estimate, at_rest: Estimate) -> bool:
 
     Motion adds that the device stays in one place. If it was laid by hand from face to face, the unknowns of its
     support and the sizes of groups follow its way instead. Rests and turns do not depend on the place: if the device
-    stays there, the values that they determine differ by Δ ~ N(0, C_r − C_m), and Δᵀ C_r⁻¹ Δ is at most χ² with as many
-    degrees of freedom as there are values (Hausman 1978, Econometrica 46, 1251-1271). Where rests and turns determine
-    all linear parameters, motion must also reduce u."""
-    n = len(linear_names(at_rest.names))
-    known = np.flatnonzero(at_rest.observable[:n])
+    stays there, the scale factors and angles that they determine differ by Δ ~ N(0, C_r − C_m), and Δᵀ C_r⁻¹ Δ is at
+    most χ² with as many degrees of freedom as there are values (Hausman 1978, Econometrica 46, 1251-1271). Biases are
+    means over other times. Where rests and turns determine all linear parameters, motion must also reduce u."""
+    linear = linear_names(at_rest.names)
+    n, is_bias = len(linear), np.array([within_kind(group_name(name)) == "bias" for name in linear], dtype=bool)
+    known = np.flatnonzero(at_rest.observable[:n] & ~is_bias)
     change = moving.values[known] - at_rest.values[known]
     square = float(change @ np.linalg.solve(at_rest.covariance[np.ix_(known, known)], change))
     if len(known) and scipy.special.chdtrc(len(known), square) < FALSE_ALARMS:
