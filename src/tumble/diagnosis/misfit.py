@@ -155,7 +155,7 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
         findings.append(
             remark(f"{len(by_session) - MOST_SESSIONS} more sessions scatter: calibrate them one by one to see why")
         )
-    findings += [*_unusual_groups(estimate), *varying]
+    findings += [*unusual_groups(estimate), *varying]
     if estimate.method == "joint":
         return tuple(findings)
     return tuple(
@@ -354,7 +354,7 @@ def _scatter_sentence(group: ResidualGroup, ratio: float, linearised: Linearisat
     return f"{sentence}{RANDOM_IN_U}"
 
 
-def _unusual_groups(estimate: Estimate) -> Iterator[Finding]:
+def unusual_groups(estimate: Estimate) -> Iterator[Finding]:
     """Yield the groups beyond the linear model, without drifts, that are far larger than usual, by kind of sensor."""
     sizes = {h.name: h for h in estimate.hyperparameters}
     by_kind = dict[str, dict[str, str]]()

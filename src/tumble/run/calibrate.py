@@ -10,14 +10,14 @@ from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
 from types import MappingProxyType
-from typing import Literal, Unpack, get_args
+from typing import Any, Literal, Unpack, get_args
 
 import numpy as np
 
 from tumble import __version__
 from tumble.arguments import checked
 from tumble.diagnosis import linear_model
-from tumble.diagnosis.in_motion import motion_note
+from tumble.diagnosis.in_motion import improves, motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
 from tumble.diagnosis.undetermined import one_attitude
@@ -39,7 +39,7 @@ from tumble.result.calibration import Calibration, calibration_from, read_calibr
 from tumble.result.parts import Provenance
 from tumble.rotation import UP
 from tumble.run.from_estimate import build_calibration, gap_notes, mean_temperature, refused_calibration
-from tumble.run.observed import Progress, grade_of, inspected, observations_for_calibration
+from tumble.run.observed import Observed, Progress, grade_of, inspected, observations_for_calibration
 from tumble.run.warming import calibrate_warming, is_still
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import grade as grade_named
@@ -204,7 +204,7 @@ def _calibrated(
         if isinstance(observations, Outcome):
             result: tuple[Estimate, Observations] | Outcome = observations
         else:
-            result = estimate_observations(session, observations, *options)
+            result, observations = _estimate_of_rests_or_motion(observed, observations, options)
     if clock is None and not isinstance(result, Outcome) and (clock := clock_by_earth(result[0])) is not None:
         log = replace(session.log, clock_rate=session.log.clock_rate * clock.rate, clock_u=clock.u)
         repeated = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, base, clock)
@@ -229,8 +229,7 @@ def _calibrated(
             accel_result = estimate_observations(session, observations.of_accelerometers(), *options)
             if not isinstance(accel_result, Outcome):
                 accel_only = build_calibration(session, *accel_result, systematic, frame, provenance, bridged)
-                missing = any(name.startswith("accel") for name in accel_only.outcome.unobservable)
-                if accel_only.outcome.accel.accepted and not missing:
+                if accel_only.outcome.accel.accepted and accel_only.accel is not None:
                     reasons = calibration.outcome.gyro.reasons
                     because = (f"{reason}; the accelerometers are estimated alone" for reason in reasons)
                     result, calibration, faults = accel_result, accel_only, (*because, *faults)
@@ -261,6 +260,20 @@ def _calibrated(
     for sentence in (*calibration.provenance.notes, *calibration.outcome.remarks, *calibration.outcome.reasons):
         _LOG.info("%s: %s", session.name, sentence)
     return calibration
+
+
+def _estimate_of_rests_or_motion(
+    observed: Observed, observations: Observations, options: tuple[Any, ...]
+) -> tuple[tuple[Estimate, Observations] | Outcome, Observations]:
+    """Return the estimate from observations, with these; from rests and turns if motion is no better than they are."""
+    result = estimate_observations(observed.session, observations, *options)
+    if observations.links is not None and len(observations.rests):
+        at_rest = observations_for_calibration(observed, joint=True, motion=False)
+        if isinstance(at_rest, Observations):
+            by_rests = estimate_observations(observed.session, at_rest, *options)
+            if isinstance(result, Outcome) or not (isinstance(by_rests, Outcome) or improves(result[0], by_rests[0])):
+                return by_rests, at_rest
+    return result, observations
 
 
 def _with(

@@ -233,13 +233,15 @@ def _observed(session: Session, reduction: Reduction, rests: tuple[Stretch, ...]
     return observe(reduction, rests, session.accel_block, session.gyro_block, session.site)
 
 
-def observations_for_calibration(observed: Observed, *, joint: bool = False) -> Observations | Outcome:
+def observations_for_calibration(
+    observed: Observed, *, joint: bool = False, motion: bool = True
+) -> Observations | Outcome:
     """Return the positions of a session's programme (all rests without one), or an Outcome with the reason for none.
 
-    For the method `joint` these include the motion of a device with few rests, gyros whose biases jump, and the
-    magnetometer. Faulty gyros are left out. Raises ProgrammeError for a recording that does not follow the programme.
-    """
-    if joint and (moving := _in_motion(observed)) is not None:
+    For the method `joint` these include gyros whose biases jump, the magnetometer and, if `motion`, the motion of a
+    device with few rests. Faulty gyros are left out. Raises ProgrammeError for a recording that does not follow the
+    programme."""
+    if joint and motion and (moving := _in_motion(observed)) is not None:
         return moving
     matched = _matched(observed)
     if isinstance(matched, Outcome):
