@@ -207,7 +207,8 @@ def export_calibration(
         if option not in chosen_options:
             raise InputError(f"export to {name}: expected {_option_name(option)}, found none")
     exported = chosen.write(calibration, **chosen_options)
-    return replace(exported, losses=(*calibration.provenance.absent, *exported.losses))
+    doubts = (sentence for sentence in calibration.provenance.assumptions if sentence.startswith("doubt: "))
+    return replace(exported, losses=(*calibration.provenance.absent, *doubts, *exported.losses))
 
 
 def _option_name(name: str) -> str:

@@ -109,7 +109,8 @@ def origin(calibration: Calibration) -> list[str]:
         if readings is not None and readings.unit in ("count", "V"):
             scale, offset = (" ".join(f"{number:g}" for number in row) for row in (readings.scale, readings.offset))
             lines.append(f"{kind} readings in {UNITS[kind]} are (raw - offset) / scale: offset {offset}, scale {scale}")
-    return [one_line(line) for line in (*lines, *calibration.provenance.absent)]
+    doubts = (sentence for sentence in made_by.assumptions if sentence.startswith("doubt: "))
+    return [one_line(line) for line in (*lines, *made_by.absent, *doubts)]
 
 
 def one_line(text: str) -> str:
