@@ -64,7 +64,7 @@ def session_folders(
     With `every`, notes on how each part of the session was determined are printed, otherwise only those on other
     sensors in the recording and on corrections of it."""
     first, stated = recordings[0], any(value is not None for value in options.values())
-    if not stated and (len(recordings) > 1 or not _is_log(first)):
+    if not stated and (len(recordings) > 1 or not is_log(first)):
         yield recordings
         return
     if len(recordings) > 1 or (first.is_dir() and (first / "session.toml").exists()) or first.suffix == ".toml":
@@ -91,14 +91,14 @@ def check_recordings(recordings: Sequence[Path]) -> None:
             with path.open("rb") as file:
                 if re.match(rb'\s*\{\s*"format"', file.read(100)):
                     raise InputError(f"{path}: expected a session or a log, found a calibration file")
-    if len(recordings) > 1 and (log := next(filter(_is_log, recordings), None)) is not None:
+    if len(recordings) > 1 and (log := next(filter(is_log, recordings), None)) is not None:
         raise InputError(
             f"{log}: expected one log, or sessions, found a log among {len(recordings)} arguments; positions of one "
             "recording: `tumble calibrate 'PATTERN'`, in quotes, or `tumble new SESSION FILE …`; else a session of each"
         )
 
 
-def _is_log(path: Path) -> bool:
+def is_log(path: Path) -> bool:
     """Return True for the path of a log, a pattern of files, or a folder of files without a session.toml."""
     if path.is_dir():
         return not (path / "session.toml").exists() and any(each.is_file() for each in path.iterdir())
