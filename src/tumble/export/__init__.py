@@ -102,6 +102,7 @@ def target(name: str) -> Target:
     found = _find(name)
     if found is None:
         longer = next((each for each in targets() if name and each.startswith(name)), "")
+        longer = longer or {"arduino": "c", "esp32": "c", "stm32": "c"}.get(name.lower(), "")
         advice = did_you_mean(longer or name, targets())
         raise InputError(f"export: expected one of {', '.join(targets())}, found {name!r}{advice}")
     return found if isinstance(found, Target) else _template_target(found, name)
