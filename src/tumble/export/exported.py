@@ -34,7 +34,7 @@ MAGNETOMETER = "mag"
 """Matrix and bias of the magnetometer, as a group of parameters."""
 NEGLIGIBLE = 0.1  # relative to the u of a reading; it increases u by less than √(1 + 0.1²) − 1 = 0.5 %
 WARMING, HOUR = 10.0, 3600.0  # K and s, over which changes are stated
-MOST_STATED = 2  # effects of each kind of sensor in a note
+MOST_STATED = 2  # effects of each kind of sensor, the largest, whose size is in a note
 HEATING_RATE = 1.0 / 60.0  # K/s, at which the effect of a lag is stated
 ROUNDING = 1e-6  # relative error of single precision, which is not stated
 
@@ -209,13 +209,9 @@ def _groups_not_held(calibration: Calibration, held: Container[str] = ()) -> lis
         lost = [g for g in groups() if g.kind == kind and g.regressors is None and not g.linear]
         lost = [g for g in lost if model is not None and g.name in present and g.name not in held]
         errors = sorted(((*_largest_effect(calibration, group), group) for group in lost), key=lambda each: -each[0])
-        stated = [
-            f"{group.words.partition(',')[0]} ({in_units(group.kind, error)} {where})"
-            for error, where, group in errors
-            if error >= NEGLIGIBLE * u
-        ]
-        out += stated[:MOST_STATED]
-        out += [f"smaller effects on the {WORDS[kind]}"] * (len(stated) > MOST_STATED)
+        for place, (error, where, group) in enumerate(each for each in errors if each[0] >= NEGLIGIBLE * u):
+            size = f" ({in_units(group.kind, error)} {where})" if place < MOST_STATED else ""
+            out.append(group.words.partition(",")[0] + size)
     return [words.replace("−", "-") for words in out]
 
 
