@@ -21,9 +21,9 @@ in-run bias within the session. For a slowly changing bias, a session of length 
 
     σ_b² (1 − 2 (x − 1 + e^{−x})/x²),   x = T/τ
 
-about its mean, and the density along σ_b at a time τ is that with an equal w. The average information used is the
-geometric mean of that along φ_i and that of its marginal. For a size of a group the density is ℓ along it through the
-maximum; of λ = exp(max(p, 0)), half of the density is the prior of p < 0.
+about its mean, and the density along σ_b at a time τ is that with an equal w. The likelihood in F_i is stretched about
+the maximum by the root of the ratio of the standard deviations of φ_i with other elements free and held. For a size of
+a group the density is ℓ along it through the maximum; of λ = exp(max(p, 0)), half of the density is the prior of p < 0.
 
 The points z are two fixed low-discrepancy sequences, each transformed to have exactly the mean and covariance of the
 normal distribution, so that a result is reproducible to the last digit. The weights w ∝ e^ℓ/q of the points of ψ, each
@@ -288,13 +288,13 @@ class Proposal:
         value, vectors = np.linalg.eigh(B / np.outer(size, size))
         covariance = (vectors / np.maximum(value, 0.1)) @ vectors.T
         marginal = np.sqrt(covariance.diagonal())
-        correlations, curvature = np.eye(len(hyperparameters)), fitted.curvature.diagonal().copy()
+        correlations, stretch = np.eye(len(hyperparameters)), np.ones(len(hyperparameters))
         correlations[np.ix_(free, free)] = covariance / np.outer(marginal, marginal)
-        curvature[free] = size**2 / marginal
+        stretch[free] = np.sqrt(marginal)
         densities |= _time_densities(fitted, spread)
         for i in (element for element in outer if element not in densities):
             h = hyperparameters[i]
-            density = partial(_variance_density, h, phi[i], tuple(forms[:, i]), curvature[i])
+            density = partial(_variance_density, h, phi[i], tuple(forms[:, i]), fitted.curvature[i, i], stretch[i])
             if i in times:
                 in_run[i] = times[i], density
             else:
@@ -350,18 +350,24 @@ def _spread_in_session(noise: NoiseModel, log_time: Array) -> Array:
 
 
 def _variance_density(
-    h: Hyperparameter, phi: float, forms: tuple[float, float], curvature: float, shift: float | Array = 0.0
+    h: Hyperparameter,
+    phi: float,
+    forms: tuple[float, float],
+    curvature: float,
+    stretch: float,
+    shift: float | Array = 0.0,
 ) -> Density:
     """Return the density along ln σ from the quadratic forms of σ² and minus the second derivative of ℓ at the maximum.
 
-    At a `shift` (or stack of them) the standard deviation in the session is exp(shift) times that at the maximum."""
+    The likelihood is stretched about the maximum. At a `shift` (or stack of them) the standard deviation in the session
+    is exp(shift) times that at the maximum."""
     square, trace = max(forms[0], 1e-6), max(forms[1], 1e-6)
     informed = curvature - float(h.log_prior(np.array(phi))[2])
     share = float(np.clip(informed / (2.0 * square), 1e-3, 1.0 - 1e-6))  # 1/(u + 1)
-    half = REACH * float(np.clip(curvature**-0.5, 0.5, 1.5))
+    half = REACH * float(np.clip(stretch * curvature**-0.5, 0.5, 1.5))
     grid = np.linspace(min(-3.0 * h.within, phi - half) if h.bounded else phi - half, phi + half, GRID)
     above = np.maximum(grid, 0.0) - max(phi, 0.0) if h.bounded else grid - phi
-    w = 1.0 / share - 1.0 + np.exp(2.0 * (above + np.asarray(shift)[..., None]))
+    w = 1.0 / share - 1.0 + np.exp(2.0 * (above + np.asarray(shift)[..., None]) / stretch)
     likelihood = -0.5 * trace / share * np.log(w) - 0.5 * square / share**2 / w
     return Density.of(grid, h.log_prior(grid)[0] + likelihood)
 
