@@ -235,12 +235,6 @@ def temperature_range(calibration: Calibration, target: str) -> Range:
         raise InputError(
             f"export to {target}: expected rests at several temperatures, found one; record while it gets warmer"
         )
-    if measured.high - measured.low < LEAST_CHANGE:
-        raise InputError(
-            f"export to {target}: expected temperatures that span at least {LEAST_CHANGE:g} K, found "
-            f"{measured.high - measured.low:.1f} K, over which drift in time looks like a slope; record while it warms "
-            f"up, or export to {target.removesuffix('-thermal')}"
-        )
     return measured
 
 
@@ -260,6 +254,13 @@ def _autopilot(
     layout, thermal = PX4 if target.startswith("px4") else ARDUPILOT, target.endswith("-thermal")
     pilot = Autopilot(**front_of(layout))
     applied = _triads(pilot, target, calibration, imu, thermal=thermal)
+    measured = applied[0].measured
+    if measured is not None and (span := measured.high - measured.low) < LEAST_CHANGE:
+        raise InputError(
+            f"export to {target}: expected temperatures that span at least {LEAST_CHANGE:g} K, found {span:.1f} K, "
+            "over which a drift in time looks like a slope; record while it warms up, or export to "
+            f"{target.removesuffix('-thermal')}"
+        )
     ids: dict[str, int | None] = {kind: sensor.id for kind, sensor in calibration.imu.items()}
     ids |= {} if sensor_ids is None else dict(zip(("accel", "gyro"), sensor_ids, strict=True))
     signed = {kind: _signed(device) for kind, device in ids.items() if device is not None}
