@@ -302,7 +302,7 @@ def test_a_black_box_with_quotes_and_blanks_is_doubted_for_what_the_board_has_ap
     read = np.rint(np.column_stack([rows[:, 4:7] * D, rows[:, 1:4] * 2048.0 * G]))
     time = np.rint(1e6 * rows[:, 0] + 4e7)
     header = ", ".join(f'"{each}"' for each in names)
-    log = table(tmp_path / "LOG1.01.csv", header, np.arange(len(rows)), time, read, digits=12, delimiter=", ")
+    log = table(tmp_path / "LOG1.01.csv", header, np.arange(float(len(rows))), time, read, digits=12, delimiter=", ")
     done = CliRunner().invoke(main, ["calibrate", str(log), *PLACE])
     assert done.exit_code == 0, done.stderr
     assert "remark: doubt: accSmooth is what Betaflight has corrected by align_board_*" in done.stdout
