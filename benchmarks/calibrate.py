@@ -1,11 +1,10 @@
 """How long `tumble calibrate` takes, and how much memory, against reading the same file with polars.
 
 Whole process: start-up of `tumble --help`, and `tumble calibrate` on the Xsens recording (TUMBLE_DATA) and on a
-simulated hour at 1 kHz, Parquet and CSV, with peak memory. In process, imports and compilation excluded: calibrating
-the hour against the time polars takes to read the same columns into memory, pair by pair; and reading it until its
-blocks are reduced against polars reading the file with all columns, the least of three each, by the clock and in
-processor time. With `--long` the memory of 20 million rows,
-too. Usage: python benchmarks/calibrate.py [--long]
+simulated hour at 1 kHz, Parquet and CSV, with peak memory. In process, imports and compilation excluded, by the clock
+and in processor time, each ratio the median of five pairs: calibrating the hour against polars reading the same
+columns, and reading it until its blocks are reduced against polars reading all columns. With `--long` the memory of 20
+million rows, too. Usage: python benchmarks/calibrate.py [--long]
 """
 
 from __future__ import annotations
@@ -35,13 +34,6 @@ TUMBLE = Path(sys.executable).with_name("tumble")
 DATA = Path(os.environ.get("TUMBLE_DATA") or Path(__file__).parents[2] / "shared" / "data")
 CPUINFO = Path("/proc/cpuinfo").read_text().splitlines() if Path("/proc/cpuinfo").exists() else []
 RUNS = 5
-READINGS = 3
-
-
-def seconds(work: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    work()
-    return time.perf_counter() - start
 
 
 ONE_RUN = """
@@ -57,51 +49,51 @@ print(os.waitstatus_to_exitcode(status), time.perf_counter() - start, usage.ru_m
 compiled anew, as pip leaves them. Prints exit status, seconds by the clock, peak MB and seconds of the processor."""
 
 
-def process(*command: str) -> tuple[float, float]:
-    """Median wall time (s) of a command over RUNS, after one run to warm up, and its largest peak memory (MB)."""
+def process(*command: str) -> str:
+    """Medians over RUNS of the time of a command and of its processor time, after one run to warm up, and its largest
+    peak memory."""
     times, peaks = [], []
     for _ in range(RUNS + 1):
         run = [sys.executable, "-S", "-c", ONE_RUN, str(TUMBLE), *command]
-        code, seconds, peak, _ = subprocess.run(run, capture_output=True, text=True, check=True).stdout.split()
+        code, wall, peak, busy = subprocess.run(run, capture_output=True, text=True, check=True).stdout.split()
         if code not in ("0", "1"):
             raise SystemExit(f"{' '.join(command)} failed")
-        times.append(float(seconds))
+        times.append((float(wall), float(busy)))
         peaks.append(float(peak))
-    return statistics.median(times[1:]), max(peaks)
+    seconds, used = (statistics.median(each) for each in zip(*times[1:], strict=True))
+    return f"{seconds:.3f} s, of processor time {used:.3f} s, peak {max(peaks):.0f} MB"
 
 
-def against_polars(folder: Path) -> tuple[float, float, float]:
-    """Median of the ratio calibrate / polars, pair by pair, and the medians of both (s)."""
-    session = read_session(folder)
-    log, columns = session.log.files[0], list(session.log.columns)
-    read = pl.read_parquet if log.suffix == ".parquet" else pl.read_csv
-    calibrate(session)
-    pairs = [(seconds(lambda: calibrate(session)), seconds(lambda: read(log, columns=columns))) for _ in range(RUNS)]
-    ours, theirs = zip(*pairs, strict=True)
-    return statistics.median(a / b for a, b in pairs), statistics.median(ours), statistics.median(theirs)
+def pairs(ours: Callable[[], object], theirs: Callable[[], object]) -> str:
+    """Medians of both times and of their ratio, pair by pair, by the clock and in processor time."""
 
-
-def reading_against_polars(folder: Path) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Seconds by the clock and of processor time, the least of READINGS in turn, until the blocks of a log are reduced,
-    and until polars has read all of the file."""
-    session = read_session(folder)
-    log = session.log.files[0]
-    read = pl.read_parquet if log.suffix == ".parquet" else pl.read_csv
-
-    def both(work: Callable[[], object]) -> tuple[float, float]:
+    def times(work: Callable[[], object]) -> tuple[float, float]:
         start, busy = time.perf_counter(), time.process_time()
         work()
         return time.perf_counter() - start, time.process_time() - busy
 
-    def least(times: list[tuple[float, float]]) -> tuple[float, float]:
-        return min(wall for wall, _ in times), min(busy for _, busy in times)
+    ours()
+    measured = [(times(ours), times(theirs)) for _ in range(RUNS)]
+    said = []
+    for which, name in enumerate(("by the clock", "in processor time")):
+        both = [(a[which], b[which]) for a, b in measured]
+        first, second = (statistics.median(each) for each in zip(*both, strict=True))
+        ratio = statistics.median(a / b for a, b in both)
+        said.append(f"{name} {first:.3f} s, polars {second:.3f} s, ratio {ratio:.2f}")
+    return "; ".join(said)
+
+
+def against_polars(folder: Path) -> tuple[str, str]:
+    """Times of calibrating a session, and of reading its log until its blocks are reduced, against polars."""
+    session = read_session(folder)
+    log, columns = session.log.files[0], list(session.log.columns)
+    read = pl.read_parquet if log.suffix == ".parquet" else pl.read_csv
 
     def reduced() -> object:
         return reduce_log(open_log(session), session.accel_block, session.gyro_block)
 
-    reduced()
-    pairs = [(both(reduced), both(lambda: read(log))) for _ in range(READINGS)]
-    return least([ours for ours, _ in pairs]), least([theirs for _, theirs in pairs])
+    whole = pairs(lambda: calibrate(session), lambda: read(log, columns=columns))
+    return whole, pairs(reduced, lambda: read(log))
 
 
 def machine() -> str:
@@ -122,34 +114,25 @@ def session_of(folder: Path, log_format: Literal["csv", "parquet"], rest: float)
 
 
 def main() -> None:
-    lines = [machine()]
+    print(machine())
     with tempfile.TemporaryDirectory() as temporary:
         out = str(Path(temporary) / "out.json")
-        wall, _ = process("--help")
-        lines.append(f"tumble --help {wall:.3f} s")
+        print(f"tumble --help: {process('--help')}")
         if (DATA / "xsens-mti").is_dir():
-            wall, peak = process("calibrate", str(DATA / "xsens-mti"), "--out", out, "--force")
-            lines.append(f"tumble calibrate xsens-mti: {wall:.2f} s, peak {peak:.0f} MB")
+            print(
+                f"tumble calibrate xsens-mti: {process('calibrate', str(DATA / 'xsens-mti'), '--out', out, '--force')}"
+            )
         for log_format in ("parquet", "csv"):
             folder = session_of(Path(temporary) / log_format, log_format, 225.0)
-            wall, peak = process("calibrate", str(folder), "--out", out, "--force")
-            rows = rows_of(folder / f"log.{log_format}")
-            lines.append(f"tumble calibrate, {rows:,} rows {log_format}: {wall:.2f} s, peak {peak:.0f} MB")
-            ratio, ours, theirs = against_polars(folder)
-            lines.append(f"    in process {ours:.3f} s; polars reads it in {theirs:.3f} s; ratio {ratio:.2f}")
-            (wall, busy), (its_wall, its_busy) = reading_against_polars(folder)
-            lines.append(
-                f"    until blocks are reduced {wall:.3f} s, of processor time {busy:.3f} s; polars reads all of it in "
-                f"{its_wall:.3f} s, {its_busy:.3f} s; ratios {wall / its_wall:.2f}, {busy / its_busy:.2f}"
-            )
+            taken = process("calibrate", str(folder), "--out", out, "--force")
+            print(f"tumble calibrate, {rows_of(folder / f'log.{log_format}'):,} rows {log_format}: {taken}")
+            whole, reading = against_polars(folder)
+            print(f"    in process {whole}\n    until blocks are reduced {reading}")
             shutil.rmtree(folder)
         if "--long" in sys.argv:
             folder = session_of(Path(temporary) / "long", "parquet", 1320.0)
-            wall, peak = process("calibrate", str(folder), "--out", out, "--force")
-            lines.append(
-                f"tumble calibrate, {rows_of(folder / 'log.parquet'):,} rows: {wall:.2f} s, peak {peak:.0f} MB"
-            )
-    print(*lines, sep="\n")
+            taken = process("calibrate", str(folder), "--out", out, "--force")
+            print(f"tumble calibrate, {rows_of(folder / 'log.parquet'):,} rows: {taken}")
 
 
 if __name__ == "__main__":

@@ -48,7 +48,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 import tumble as tumble_package
-from tumble.cli import main as tumble
+from tumble.__main__ import run as tumble
 
 LONGEST, MOST = 60.0, 1 << 30
 """How long a process may be on a machine that has nothing else to do, and how large: s, bytes."""
@@ -197,11 +197,13 @@ def _ended(process: subprocess.Popen[bytes]) -> Ended:
 
 def _become(words: list[str]) -> NoReturn:
     """The command line in this process, a copy that was just made, to its end."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # as the program does when it begins
     os.closerange(3, 1024)  # the parent waits for one of them
     sys.stdin, sys.stdout, sys.stderr = (open(n, mode, closefd=False) for n, mode in enumerate("rww"))  # noqa: SIM115
     status = 1
     try:
-        tumble(words, prog_name="tumble")
+        sys.argv = ["tumble", *words]
+        tumble()
     except SystemExit as ended:
         status = ended.code if isinstance(ended.code, int) else 0 if ended.code is None else 1
     except BaseException:
@@ -313,7 +315,7 @@ def killed(bench: Bench, commands: dict[str, str]) -> Found:
         taken = time.monotonic() - started
         whole = _content(bench.out)
         for how in (signal.SIGKILL, signal.SIGTERM, signal.SIGINT):
-            for at in np.linspace(0.5, 1.0, KILLS if how == signal.SIGKILL else KILLS // 2):
+            for at in np.linspace(0.0, 1.0, KILLS if how == signal.SIGKILL else KILLS // 2):
                 bench.emptied()
                 process = bench.started(command, stdout=subprocess.DEVNULL)
                 _until_writing(process, bench, at * taken)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import pytest
 import tumble
 from tumble.errors import InputError, LogError
 from tumble.files import nothing_left, whole_file
+from tumble.recording.log_source import one_ahead
 from tumble.recording.panic import COMMAND_LINE
 from tumble.recording.readers import source_of, write_tables
 
@@ -69,6 +71,35 @@ def test_nothing_is_left_of_a_folder_that_fails(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="no locks of folders")
+@pytest.mark.parametrize("there", [True, False], ids=["a folder that is there", "a new folder"])
+def test_of_two_that_write_into_a_folder_the_second_is_refused(there: bool, tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "folder"
+    if there:
+        folder.mkdir(parents=True)
+    with nothing_left(folder) as first:
+        first.new_file("log.csv").write_text("first")
+        with pytest.raises(InputError, match="found one in which one does"), nothing_left(folder) as second:
+            second.new_file("log.csv").write_text("second")
+    with nothing_left(folder) as second:
+        second.new_file("log.csv").write_text("second")
+    assert {path.name: path.read_text() for path in folder.iterdir()} == {"log.csv": "first", "log-2.csv": "second"}
+
+
+def test_of_two_that_make_a_folder_the_second_is_refused_and_takes_nothing_away(tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+
+    def refused() -> None:
+        with nothing_left(folder) as second:
+            with nothing_left(folder) as first:
+                first.new_file("log.csv")
+            second.new_file("log.csv")
+
+    with pytest.raises(InputError, match="found one in which one does"):
+        refused()
+    assert folder.exists()  # the first may be about to write
+
+
 def test_panics_at_a_damaged_parquet_file_stay_off_the_terminal_of_a_command(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -98,6 +129,7 @@ def test_nothing_but_a_command_changes_what_the_whole_process_has() -> None:
         if re.search(STATE_OF_THE_PROCESS, path.read_text(encoding="utf-8"))
     }
     assert found == {
+        "__main__.py",  # before and after a command
         "cli.py",
         "campaigns/cluster.py",  # in the processes of the cluster
         "recording/panic.py",  # in a command alone
@@ -121,9 +153,10 @@ def damaged_parquet(tmp_path: Path) -> None:
     pl.DataFrame(columns).write_parquet(path, compression="uncompressed", statistics=False)
     content = path.read_bytes()
     path.write_bytes(content[:500] + content[30_500:])  # rows are gone that the end of the file tells of
-    with pytest.raises(LogError) as raised:
-        list(source_of(path).tables(["t", "ax"]))
-    assert "\n" not in str(raised.value)
+    for read in (iter, one_ahead):  # by this thread, and by one beside it
+        with pytest.raises(LogError) as raised:
+            list(read(source_of(path).tables(["t", "az"])))
+        assert "\n" not in str(raised.value)
 
 
 def test_columns_that_csv_cannot_hold_are_named(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -136,3 +137,78 @@ module.read_session = writes
 """
     assert ended(code + COMMAND, tmp_path) == (143, "", [])
     assert list(tmp_path.iterdir()) == []
+
+
+STOPPED: list[tuple[str, tuple[int, str, list[object]]]] = [
+    ("SIGINT", (130, "tumble: stopped\n", [])),
+    ("SIGTERM", (143, "", [])),
+]
+"""Signals that end a command, each with how the command ends."""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize(("name", "expected"), STOPPED)
+@pytest.mark.parametrize(
+    "library",
+    [
+        "try:\n        stopped()\n    except BaseException:\n        raise ValueError('no serializer') from None",
+        "Lost()\n    time.sleep(60.0)",
+    ],
+    ids=["made another error", "lost in a destructor"],
+)
+def test_a_command_is_stopped_whatever_a_library_makes_of_it(
+    library: str, name: str, expected: object, tmp_path: Path
+) -> None:
+    code = f"""
+import os, signal, time
+def stopped(*_):
+    os.kill(os.getpid(), signal.{name})
+class Lost:
+    __del__ = stopped
+import tumble.recording.session_file as module
+def fails(*_):
+    {library}
+module.read_session = fails
+"""
+    assert ended(code + COMMAND, tmp_path) == expected
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_command_that_is_stopped_while_it_cleans_up_has_cleaned_up(name: str, tmp_path: Path) -> None:
+    code = f"""
+import os, signal
+from pathlib import Path
+from tumble.errors import InputError
+from tumble.files import nothing_left
+unlink = Path.unlink
+def stopped(*words, **how):
+    os.kill(os.getpid(), signal.{name})
+    unlink(*words, **how)
+def writes(*_):
+    with nothing_left(Path("folder")) as output:
+        for name in "abc":
+            output.new_file(name).write_text("half")
+        Path.unlink = stopped
+        raise InputError("refused")
+import tumble.recording.session_file as module
+module.read_session = writes
+"""
+    status, line, tracebacks = ended(code + COMMAND, tmp_path)
+    assert (status in (2, 130, 143, -signal.SIGINT, -signal.SIGTERM), tracebacks) == (True, [])
+    assert line in ("tumble: refused\n", "tumble: stopped\n", "")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+def test_a_process_that_is_stopped_after_its_command_says_nothing_more(tmp_path: Path) -> None:
+    code = """
+import atexit, os, signal, sys
+atexit.register(os.kill, os.getpid(), signal.SIGINT)
+from tumble.__main__ import run
+sys.argv = ["tumble", "inspect", "launch"]
+run()
+"""
+    status, line, tracebacks = ended(code, tmp_path)
+    assert (status, line.count("\n"), tracebacks) == (-signal.SIGINT, 1, [])
+    assert line.startswith("tumble: launch: expected ")

@@ -1,7 +1,7 @@
 """The command line: data on standard output, messages on standard error.
 
 Exit status 0: accepted; 1: not accepted, with the reasons on standard error; 2: unusable input or arguments; 70: an
-error of the program; 130: stopped.
+error of the program; 130: stopped (Ctrl-C); 143: ended by SIGTERM.
 """
 
 from __future__ import annotations
@@ -11,18 +11,22 @@ import errno
 import gc
 import os
 import signal
+import sys
+import time
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from functools import partial
 from importlib import import_module
-from typing import Any, NoReturn
+from types import FrameType
+from typing import Any
 
 import click
 
 from tumble import __version__
 from tumble.documents import one_line
 from tumble.errors import TumbleError
+from tumble.files import is_removing
 from tumble.plugins import entry_points_of, load, package_of
 from tumble.program_errors import check_memory_limits, ended_by
 
@@ -64,7 +68,9 @@ def _in_one_line() -> Iterator[None]:
         raise _Refused(f"{error.filename or 'standard output'}: {error.strerror or error}") from error
 
 
-STUCK_SECONDS = 5.0  # s, allowed for a command to end after SIGTERM
+STUCK_SECONDS = 5.0  # s, allowed for a command to react to a signal
+_ENDING = (signal.SIGINT, signal.SIGTERM)
+_AGAIN, _AGAIN_SECONDS = b"\0", 0.02  # no signal has this number; s, before an interruption is repeated
 
 COMMANDS: Mapping[str, str] = {
     "Most used": (
@@ -147,7 +153,7 @@ class _Commands(click.Group):
             return super().make_context(*args, **extra)
 
     def invoke(self, ctx: click.Context) -> Any:
-        with _in_one_line():
+        with _in_one_line(), _ended_by_signals():
             return super().invoke(ctx)
 
 
@@ -160,41 +166,71 @@ def main(context: click.Context, quiet: bool) -> None:  # noqa: ARG001 (`console
     from tumble.recording.panic import COMMAND_LINE
 
     check_memory_limits()
-    context.call_on_close(_handle_sigterm())
     context.call_on_close(partial(COMMAND_LINE.reset, COMMAND_LINE.set(True)))
     warnings.filterwarnings("ignore", message="(Duplicate|Unreadable) variable")  # of scipy, on a damaged MATLAB file
 
 
-def _handle_sigterm() -> Callable[[], object]:
-    """Make SIGTERM end the command like an error, so that nothing half written is left.
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """Make SIGINT and SIGTERM end the block like an error, so that nothing half written is left.
 
-    A command that does not react within STUCK_SECONDS, as in a library whose threads wait for each other, is ended at
-    once. Return a function that restores the previous handling."""
+    Whichever error a library makes of the interruption, it is the interruption that leaves the block. One that comes
+    while files are removed, or is lost in a destructor, is repeated a moment later. A command that
+    does not react within STUCK_SECONDS, as in a library whose threads wait for each other, is ended at once. Signals
+    that the process ignores, as under `nohup`, stay ignored."""
     import socket
     import threading
 
-    ending = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    reacted, received = threading.Event(), list[int]()
 
-    def end(number: int, _frame: object) -> NoReturn:
-        ending.set()
-        raise SystemExit(128 + number)
+    def interruption() -> BaseException:
+        return KeyboardInterrupt() if received[-1] == signal.SIGINT else SystemExit(128 + received[-1])
 
-    def end_if_stuck() -> None:
+    def end(number: int, frame: FrameType | None) -> None:
+        received.append(number)
+        reacted.set()
+        if not is_removing(frame):
+            raise interruption()
+        sender.send(_AGAIN)
+
+    def repeat_if_lost(lost: sys.UnraisableHookArgs) -> None:
+        if received and isinstance(lost.exc_value, KeyboardInterrupt | SystemExit):
+            sender.send(_AGAIN)
+        else:
+            former_hook(lost)
+
+    def watch() -> None:
         with receiver:
-            while number := receiver.recv(1):
-                is_ours = number[0] == signal.SIGTERM and signal.getsignal(signal.SIGTERM) is end
-                if is_ours and not ending.wait(STUCK_SECONDS):
+            while byte := receiver.recv(1):
+                number = received[-1] if byte == _AGAIN else byte[0]
+                if number not in _ENDING or signal.getsignal(number) is not end:
+                    continue
+                if byte == _AGAIN:
+                    time.sleep(_AGAIN_SECONDS)
+                    reacted.clear()
+                    os.kill(os.getpid(), number)
+                elif not reacted.wait(STUCK_SECONDS):
                     with suppress(OSError):
                         os.write(2, b"tumble: stopped\n")
-                    os._exit(128 + signal.SIGTERM)
+                    os._exit(128 + number)
 
-    if threading.current_thread() is not threading.main_thread():
-        return lambda: None
     receiver, sender = socket.socketpair()
     sender.setblocking(False)
-    undo = ExitStack()
-    undo.enter_context(sender)
-    undo.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False))
-    undo.callback(signal.signal, signal.SIGTERM, signal.signal(signal.SIGTERM, end))
-    threading.Thread(target=end_if_stuck, name="stuck", daemon=True).start()
-    return undo.close
+    former_hook, sys.unraisablehook = sys.unraisablehook, repeat_if_lost
+    with ExitStack() as undo:
+        undo.enter_context(sender)
+        undo.callback(setattr, sys, "unraisablehook", former_hook)
+        undo.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(sender.fileno(), warn_on_full_buffer=False))
+        threading.Thread(target=watch, name="signals", daemon=True).start()
+        for number in _ENDING:
+            if signal.getsignal(number) not in (signal.SIG_IGN, None):
+                undo.callback(signal.signal, number, signal.signal(number, end))
+        try:
+            yield
+        except BaseException as error:
+            if received and not isinstance(error, KeyboardInterrupt | SystemExit):
+                raise interruption() from error
+            raise

@@ -6,14 +6,32 @@ import errno
 import os
 import re
 import secrets
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from types import FrameType
 
 from tumble.errors import InputError
 
 FilePath = str | os.PathLike[str]
 """Path of a file or folder in arguments of public functions."""
+
+
+def _remove(files: Iterable[Path], folders: Iterable[Path] = ()) -> None:
+    """Remove files that were not completed, and folders that are empty without them."""
+    for file in files:
+        file.unlink(missing_ok=True)
+    with suppress(OSError):  # not empty
+        for folder in folders:
+            folder.rmdir()
+
+
+def is_removing(frame: FrameType | None) -> bool:
+    """Return whether files are being removed in a frame; a signal that ends the command then waits."""
+    while frame is not None and frame.f_code is not _remove.__code__:
+        frame = frame.f_back
+    return frame is not None
 
 
 @contextmanager
@@ -35,7 +53,7 @@ def whole_file(path: Path) -> Iterator[Path]:
                 os.fsync(file.fileno())
             temporary.replace(path)
     finally:
-        temporary.unlink(missing_ok=True)
+        _remove([temporary])
 
 
 @contextmanager
@@ -72,19 +90,67 @@ def plain_name(word: str) -> str:
     return re.sub(r"\W+", "-", word).strip("-")[:40] or "unnamed"
 
 
+def lock(descriptor: int, *, shared: bool = False) -> bool:
+    """Lock an open file or folder against other processes until it is closed; return False if another has locked it.
+
+    Where the file system has no locks, return True."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except OSError as error:
+        return sys.platform != "win32" and not isinstance(error, BlockingIOError)
+    return True
+
+
+_LOCKED_BYTE = 1 << 40  # beyond the end of any file, for systems that lock bytes
+
+
+@contextmanager
+def in_use(folder: Path, *, shared: bool = False) -> Iterator[None]:
+    """Lock a folder during the block, for this process or `shared` with other readers.
+
+    Raises InputError if another process has locked it. Windows has no locks of folders."""
+    with ExitStack() as opened:
+        with suppress(OSError):
+            descriptor = os.open(folder, os.O_RDONLY)
+            opened.callback(os.close, descriptor)
+            if not lock(descriptor, shared=shared):
+                raise _taken(folder)
+        yield
+
+
+def _taken(folder: Path) -> InputError:
+    return InputError(f"{folder}: expected a folder in which no other process writes, found one in which one does")
+
+
 class OutputFolder:
     """A folder for new files, created with the first one; no file replaces another."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.written: list[Path] = []
-        self._there = path.exists()
+        self.absent = [place for place in (path, *path.parents) if not place.exists()]
+        self.use = ExitStack()
+        self._there = not self.absent
 
     def new_file(self, name: str) -> Path:
         """Return the path of a new file of this name, with a number after its stem if the name is taken.
 
-        Raises FileExistsError if another process has made the folder meanwhile."""
-        self.path.mkdir(parents=True, exist_ok=self._there)
+        Raises InputError if another process has made the folder meanwhile."""
+        if not self._there:
+            try:
+                self.path.mkdir(parents=True)
+                self.use.enter_context(in_use(self.path))
+            except (FileExistsError, InputError):
+                self.absent = []  # they are there, by the other process
+                raise _taken(self.path) from None
         self._there = True
         taken = {path.name.casefold() for path in self.written}
         wanted = path = self.path / name
@@ -99,15 +165,13 @@ class OutputFolder:
 @contextmanager
 def nothing_left(folder: Path) -> Iterator[OutputFolder]:
     """Yield the folder for new files; if the block fails they are removed, and the folder if it was made and is
-    empty."""
-    absent = [place for place in (folder, *folder.parents) if not place.exists()]
+    empty. Raises InputError if another process writes into the folder."""
     output = OutputFolder(folder)
-    try:
-        yield output
-    except BaseException:
-        for file in output.written:
-            file.unlink(missing_ok=True)
-        with suppress(OSError):  # not empty
-            for place in absent:
-                place.rmdir()
-        raise
+    with output.use:
+        if not output.absent:
+            output.use.enter_context(in_use(folder))
+        try:
+            yield output
+        except BaseException:
+            _remove(output.written, output.absent)
+            raise

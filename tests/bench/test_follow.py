@@ -242,7 +242,7 @@ def test_a_clock_that_starts_anew_costs_the_turn_or_the_part_of_the_rest_that_it
     assert bench.said.endswith("as when it is unplugged or reset; the recording goes on in log-2.csv")
     assert primary(bench) == ["go_on"]
     bench.until(lambda: bench.said == "Turn now to position 4")
-    assert "the turn with it tells nothing" in bench.state["message"]
+    assert "the turn with it is not used" in bench.state["message"]
     restarted(bench, monkeypatch)
     bench.run(5.0)
     assert bench.said == "Turn now to position 4"

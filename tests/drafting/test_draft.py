@@ -11,9 +11,10 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
+from tests.support.moving import Motion, record
 from tumble.cli import main
 from tumble.planning.setup import Setup
-from tumble.recording.session import Session
+from tumble.recording.session import USUAL_CLOCK_U, USUAL_RATE_U, Session
 from tumble.recording.session_file import read_session
 from tumble.recording.text.text_log import TextLog
 from tumble.simulation.session import simulate_session
@@ -119,6 +120,29 @@ def test_a_log_in_counts_gets_the_scales_of_data_sheets_from_its_rests_and_turns
     assert "look at this" not in said
 
 
+@pytest.mark.parametrize("motion", [Motion(), Motion(sway=0.05, frequency=0.6, rests=4)], ids=["pivot", "hand"])
+def test_a_device_in_motion_shows_the_units_and_columns_of_its_gyros(motion: Motion, tmp_path: Path) -> None:
+    """Between few or no rests the accelerometers read the vertical to within what moves the device."""
+    made = record(motion, 3, rate=100.0)
+    names, readings = named("a", "g"), np.hstack([made.accel, made.gyro])
+    log = pl.DataFrame(readings, schema=names).with_row_index("t").with_columns(pl.col("t") / made.rate)
+    counts = scaled(log, 4096.0 / G_STANDARD, 65.5 / DEGREE).with_columns(pl.col(names).round().cast(pl.Int64))
+    exchanged = log.rename({"gx": "gy", "gy": "gx"}).select("t", *names)
+    for folder in ("counts", "rad", "deg", "exchanged"):
+        (tmp_path / folder).mkdir()
+    session, said = drafted(counts, tmp_path / "counts")
+    assert session.log.gyro is not None
+    np.testing.assert_array_equal(session.log.gyro.scale, 65.5)
+    assert not session.log.doubt
+    for unit, per in (("rad/s", 1.0), ("deg/s", 1.0 / DEGREE)):
+        session, said = drafted(scaled(log, 1.0, per), tmp_path / unit[:3])
+        assert session.log.gyro is not None
+        assert session.log.gyro.unit_name == unit
+        assert not session.log.doubt
+        assert "look at this" not in said
+    assert "only where the gyro columns x and y are exchanged" in drafted(exchanged, tmp_path / "exchanged")[1]
+
+
 def test_counts_of_gyros_without_turns_get_no_scale_and_the_user_is_told(
     handheld: pl.DataFrame, tmp_path: Path
 ) -> None:
@@ -126,7 +150,9 @@ def test_counts_of_gyros_without_turns_get_no_scale_and_the_user_is_told(
     session, said = drafted(still, tmp_path)
     assert session.log.gyro is not None
     assert not session.log.gyro.scale_stated  # and no number that stands for it
-    assert session.log.doubt.startswith("no turn tells what the gyros' counts are worth: the accelerometers alone are")
+    assert session.log.doubt.startswith(
+        "no turn determines the scale of the gyros' counts: the accelerometers alone are"
+    )
     assert "the scale is unknown, for no turns show it: put that of the data sheet there" in said
     assert "a guess from too few rests" in said
 
@@ -158,11 +184,28 @@ def test_the_rate_of_a_log_without_times_is_found_from_its_turns_and_said_to_be_
 
 def test_what_the_user_knows_is_written_down(handheld: pl.DataFrame, tmp_path: Path) -> None:
     known = "--serial", "A-7", "--latitude", "56.84", "--sample-rate", "100"
-    session, said = drafted(handheld, tmp_path, *known)
+    session, said = drafted(handheld.drop("t"), tmp_path, *known)
     assert (session.device.serial, session.log.rate, session.log.time) == ("A-7", 100.0, None)
     assert session.site.latitude == pytest.approx(56.84 * DEGREE)
-    assert "column 't' is not used, since the rate was given" in said
     assert "fill in" not in said
+
+
+@pytest.mark.parametrize(
+    ("made", "rate", "shown"),
+    [(100.0, "100", True), (104.17, "104", True), (100.0, "100.4", False), (104.17, "104.0001", False)],
+)
+def test_a_rate_that_the_times_show_is_known_as_they_are(
+    made: float, rate: str, shown: bool, handheld: pl.DataFrame, tmp_path: Path
+) -> None:
+    """Times in whole milliseconds; the rate that is stated is the one that they show, rounded, or another one."""
+    stamps = (pl.col("t") * (1e3 * 100.0 / made)).round().cast(pl.Int64).alias("time_ms")
+    log = handheld.select(stamps, pl.all().exclude("t"))
+    session, said = drafted(log, tmp_path, "--sample-rate", rate)
+    found = (session.log.time, session.log.rate, session.log.time_base_u)
+    assert found == (("time_ms", None, USUAL_CLOCK_U) if shown else (None, float(rate), USUAL_RATE_U))
+    assert ("time: that is the rate given, " in said) == shown
+    assert ("column 'time_ms' is not used, since the rate was given" in said) == (not shown)
+    assert "leave --sample-rate out" not in said
 
 
 def test_a_log_without_times_or_gyros_is_drafted_and_says_so(handheld: pl.DataFrame, tmp_path: Path) -> None:

@@ -525,6 +525,12 @@ def test_topics_with_the_temperatures_of_each_kind_of_sensors_are_both_taken(at_
     assert "other thermometers, not used: /imu/temperature" in draft.remarks
 
 
+def test_a_binary_file_of_another_logger_is_no_damaged_flight_log(tmp_path: Path) -> None:
+    (tmp_path / "pod.bin").write_bytes(np.random.default_rng(3).integers(0, 160, size=20_000, dtype=np.uint8).tobytes())
+    with pytest.raises(InputError, match=r"pod.bin: expected a log of ArduPilot, .*; export its readings as CSV"):
+        messages(tmp_path / "pod.bin")
+
+
 def test_an_array_of_four_is_a_time_and_three_sensors(tmp_path: Path) -> None:
     t = np.arange(500) * 0.01
     noise = np.random.default_rng(1).normal(size=(500, 3))

@@ -40,7 +40,8 @@ class Motion:
     `lever`, m, from a pivot that sways, or in a hand that does, by `sway` m (root mean square of the distance) of
     harmonics about `frequency` Hz; `rests` of 3 s are spread over it, in which it lies still, or, held in the hand,
     trembles by `tremor` rad/s and sways by `held` m of harmonics five times as fast (root mean squares). `follows` m is
-    the vertical displacement proportional to (up · x)², by which a stand sags; `drift` m/s a uniform motion; `regrip` m
+    the vertical displacement proportional to (up · x)², by which a stand sags, `bends` m that of an arm along x, whose
+    end gives way to the weight across it; `drift` m/s a uniform motion; `regrip` m
     a step of the place in the middle, over a second."""
 
     seconds: float = 120.0
@@ -53,6 +54,7 @@ class Motion:
     tremor: float = 0.0
     held: float = 0.0
     follows: float = 0.0
+    bends: float = 0.0
     drift: Sequence[float] = (0.0, 0.0, 0.0)
     regrip: float = 0.0
 
@@ -103,6 +105,7 @@ def record(
     position += np.outer(t, motion.drift)
     up_x = C[:, 1, 0]
     position += motion.follows * (up_x**2)[:, None] * UP
+    position -= motion.bends * (UP - C[:, :, 0] * up_x[:, None])
     position += motion.regrip * _smooth(t - 0.5 * motion.seconds)[:, None] * np.array([0.6, 0.0, 0.8])
     own = np.random.default_rng((seed, 2))
     places = own.normal(0, 5e-3 * further, (3, 3)) * [[1.0], [1.0], [0.0]]

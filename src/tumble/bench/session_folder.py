@@ -209,7 +209,7 @@ class Answers:
         which the clock restarted."""
         if fault.kind == "gap":
             self._answered.append(fault)
-            return f"noted: {fault.said}; the turn with it tells nothing"
+            return f"noted: {fault.said}; the turn with it is not used"
         if "keep_first" in fault.choices:
             return f"{fault.said}; {self.keep_first(fault, progress)}"
         self._exclude(fault, progress, fault.start, fault.stop, until_moved=False)

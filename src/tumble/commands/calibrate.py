@@ -135,7 +135,7 @@ def calibrate(
 
         true_values = truth_at(truth_by_name, result.reference_temperature, partial(reference_of_parameter, result))
     console.show(
-        result.content() | ({"others": [other.content() for other in others]} if others else {}),
+        lambda: result.content() | ({"others": [other.content() for other in others]} if others else {}),
         lambda: calibration_blocks(result, true_values, others, file=target, session=described[0].name, **shown),
         width=None if shown["every"] else WIDTH,
     )
@@ -170,7 +170,7 @@ def _gyros_alone(logs: Sequence[Path], stated: dict[str, Any], out: Path | None,
         result = calibrate_gyros(gyros_of(logs[0], params.given_of(stated)))
         target = out or logs[0].with_name(f"{logs[0].stem}.calibration.json")
         result.write(target, force=force)
-        console.show(result.content(), lambda: calibration_blocks(result, file=target, session=logs[0]), width=WIDTH)
+        console.show(result.content, lambda: calibration_blocks(result, file=target, session=logs[0]), width=WIDTH)
         console.say(f"written to {target}")
         console.end(result.outcome.reasons, "not accepted: ")
 
@@ -209,7 +209,7 @@ def ellipsoid(readings: Path, positions: tuple[str, ...], out: Path | None, forc
     result = calibrate_readings(readings, directions=dict(map(_position, positions)), **options)
     target = out or readings.with_suffix(".calibration.json")
     result.calibration.write(target, force=force)
-    console.show(result.calibration.content(), lambda: readings_blocks(result))
+    console.show(result.calibration.content, lambda: readings_blocks(result))
     console.say(f"written to {target}")
     console.end(result.calibration.outcome.reasons, "not accepted: ")
 

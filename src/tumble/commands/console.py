@@ -25,11 +25,11 @@ def as_json() -> bool:
 
 
 def show(result: Any, blocks: Callable[[], Iterable[Block]], width: int | None = None) -> None:
-    """Print a result, a dataclass or a dictionary, as JSON with `--json`, else its blocks.
+    """Print a result, a dataclass, a dictionary or a function that returns one, as JSON with `--json`, else its blocks.
 
     Without a terminal sentences are broken after `width` characters, or not at all if it is None."""
     if as_json():
-        print_json(result, indent=1)
+        print_json(result() if callable(result) else result, indent=1)
     else:
         from tumble.views.render.terminal import print_blocks
 

@@ -201,13 +201,14 @@ def _faults_of_kind(
 
 def _clipped(state: ChannelState, means: Array, full_scale: float | None) -> str:
     """Return how a channel shows that its range is too small; `means` (K,) are those of blocks."""
-    at_end = np.isclose(means[:, None], [state.minimum, state.maximum], rtol=1e-12, atol=0.0).any(axis=1)
-    saturated = max(state.extreme_run, round(float(at_end.mean()) * state.samples))
     if full_scale is not None and max(abs(state.minimum), abs(state.maximum)) >= 0.9999 * full_scale:
         return f"it reaches its range, {state.extreme_run or 1} samples in a row"
-    if state.extreme_run >= 5 and _is_fault(state, state.extreme_run, saturated):
-        return f"{state.extreme_run} samples in a row at its extreme value"
-    return ""
+    if state.extreme_run < 5:
+        return ""
+    at_end = np.isclose(means[:, None], [state.minimum, state.maximum], rtol=1e-12, atol=0.0).any(axis=1)
+    saturated = max(state.extreme_run, round(float(at_end.mean()) * state.samples))
+    is_clipped = _is_fault(state, state.extreme_run, saturated)
+    return f"{state.extreme_run} samples in a row at its extreme value" if is_clipped else ""
 
 
 def _is_fault(state: ChannelState, run: int, explained: int) -> bool:

@@ -75,7 +75,9 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> It
         if abs(length - 1.0) > _GRAVITY_TOLERANCE:
             reading = f"the accelerometers read {length:.3g} g at rest in {unit}, as their names say"
             yield f"{reading}: if another unit is right, state --accel-unit; without gravity none is calibrated"
-    elif not (best.accel.listed or draft.whole[ACCEL] or unit == "V"):
+    elif not (draft.whole[ACCEL] or unit == "V") and (
+        not best.accel.listed or abs(evidence.length / best.accel.reading(best.times.rate) - 1.0) > _GRAVITY_TOLERANCE
+    ):
         if WITHOUT_GRAVITY.search(columns[0]):
             raise InputError(
                 f"{draft.files[0]}: expected readings of accelerometers, found linear acceleration, which a filter has "
@@ -104,8 +106,8 @@ def _doubts_of_units(
         others = " or ".join(dict.fromkeys(rival.label for rival in scales if rival is not None and rival.listed))
         if log[kind]["unit"] == "count" and "scale" not in log[kind]:
             yield (
-                f"no turn tells what the gyros' counts are worth: {only}noise is as if one were 1 deg/s; put the data "
-                "sheet's scale into [log.gyro]"
+                f"no turn determines the scale of the gyros' counts: {only}noise is given as if a count were 1 deg/s; "
+                "put the scale of the data sheet into [log.gyro]"
             )
         elif others and draft.unit(kind) is None:
             yield (

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tumble.drafting.times import Stamps, Times, times_of_column, times_without_column
+from tumble.drafting.times import Stamps, Times, is_rounded, times_of_column, times_without_column
 from tumble.errors import GyrosAloneError, InputError, LogError, did_you_mean
 from tumble.recording.columns.names import (
     ACCEL,
@@ -127,8 +127,11 @@ class ForeignLog:
         return float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
 
     def reads_gravity(self, columns: Sequence[str]) -> bool:
-        """Return whether the magnitude of three columns is gravity in a known unit; False for no columns."""
-        units = [scale.value for scale in CANDIDATES[ACCEL] if scale.unit is not None]
+        """Return whether the magnitude of three columns is gravity in a known unit, or in counts of data sheets for
+        whole numbers; False for no columns."""
+        numbers = self.read(columns, rows=HEAD_ROWS) if columns else np.empty((0, 3))
+        whole = np.array_equal(numbers, np.floor(numbers), equal_nan=True)
+        units = [scale.value for scale in CANDIDATES[ACCEL] if scale.unit is not None or whole]
         return any(abs(self.magnitude(columns) / one_g - 1.0) < _GRAVITY_TOLERANCE for one_g in units)
 
     def is_clock(self, column: str) -> bool:
@@ -147,9 +150,12 @@ class ForeignLog:
         return Stamps(column=column, values=values, unit=self.columns.time_unit, clock=clock)
 
     def times(self, rate: float | None) -> Times:
-        """Return the times of the rows; a stated `rate`, Hz, replaces a time column."""
+        """Return the times of the rows; a stated `rate`, Hz, replaces a time column unless that shows the same rate."""
         if rate is not None:
-            return times_without_column(rate, ())
+            shown = [t for t in self.stamped_times() if t.even and is_rounded(rate, t.rate)]
+            if not shown:
+                return times_without_column(rate, ())
+            return replace(shown[0], rivals=(), remarks=(*shown[0].remarks, f"time: that is the rate given, {rate:g}"))
         stamps = self.stamps()
         times = None if stamps is None else times_of_column(stamps)
         if times is not None and stamps is not None:
@@ -161,8 +167,16 @@ class ForeignLog:
         assumed = times_without_column(None, self.preamble)
         if stamps is None:
             return assumed
-        remark = f"time: column {stamps.column!r} does not grow and is not used"
+        remark = f"time: column {stamps.column!r} does not grow as a time does and is not used"
         return replace(assumed, remarks=(remark, *assumed.remarks))
+
+    def stamped_times(self) -> list[Times]:
+        """Return the times by the time column in every possible unit; none if it counts samples."""
+        stamps = self.stamps()
+        times = None if stamps is None else times_of_column(stamps)
+        if stamps is None or times is None or (stamps.unit is None and np.median(np.diff(stamps.values)) == 1.0):
+            return []
+        return [each for each in (times, *times.rivals) if each.stamped]
 
     def with_stated(self, stated: StatedColumns, units: Mapping[str, str]) -> ForeignLog:
         """Assign sensors and time as the user states them, by column name or number from 1, and their units.

@@ -22,7 +22,7 @@ from tumble import __version__
 from tumble.drafting.containers import files_of
 from tumble.drafting.new_session import Given, written_session
 from tumble.errors import InputError
-from tumble.files import nothing_left, whole_file
+from tumble.files import in_use, nothing_left, whole_file
 from tumble.recording.log_source import readable
 from tumble.recording.session_file import SESSION_FILE
 from tumble.run.observed import Progress
@@ -58,7 +58,8 @@ def session_of_log(
         edited = made.get("session_sha256") != _sha256(folder / SESSION_FILE)
         if made.get("given") == content["given"] and (edited or made.get("version") == __version__):
             by_hand = ", corrected by hand" if edited else ""
-            yield folder, f"{folder / SESSION_FILE}: the session made of this log before{whose}{by_hand}", [], []
+            with in_use(folder, shared=True):
+                yield folder, f"{folder / SESSION_FILE}: the session made of this log before{whose}{by_hand}", [], []
             return
         if edited:
             raise InputError(
@@ -70,6 +71,8 @@ def session_of_log(
         )
     else:
         folder = log.with_name(f"{stem}-session")
+        with in_use(folder, shared=True):  # it may be being made
+            pass
         folder = folder if not folder.exists() else log.with_name(f"{stem}-{digest[:8]}-session")
     with _put_aside(folder), nothing_left(folder) as output:
         draft, faults = written_session(output, log, given, progress)
@@ -77,7 +80,10 @@ def session_of_log(
         content["files"] = [file.name for file in output.written]
         with whole_file(output.new_file(MADE)) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        yield folder, f"{origin}kept in {folder / SESSION_FILE}", draft.remarks, faults
+        origin += f"kept in {folder / SESSION_FILE}"
+        if draft.magnetometer is not None:
+            origin += ", where the magnetometer is a comment: take the # away to calibrate it too"
+        yield folder, origin, draft.remarks, faults
 
 
 @contextmanager
@@ -89,12 +95,13 @@ def _put_aside(folder: Path) -> Iterator[None]:
         yield
         return
     aside = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
-    folder.rename(aside)
-    try:
-        yield
-    except BaseException:
-        aside.rename(folder)
-        raise
+    with in_use(folder):
+        folder.rename(aside)
+        try:
+            yield
+        except BaseException:
+            aside.rename(folder)
+            raise
     _bring_back(folder.parent, folder.name)
 
 
@@ -103,15 +110,16 @@ def _bring_back(parent: Path, names: str) -> None:
     killed."""
     for aside in parent.glob(f".{names}.*/"):
         folder = parent / aside.name[1:].rpartition(".")[0]
-        if not _made(folder):
-            shutil.rmtree(folder, ignore_errors=True)
-            aside.rename(folder)
-            continue
-        old = {*_made(aside).get("files", []), MADE, _RESULT}
-        for file in aside.iterdir():
-            if file.name not in old and not (folder / file.name).exists():
-                file.rename(folder / file.name)
-        shutil.rmtree(aside)
+        with in_use(aside):  # not by the process that makes the session anew
+            if not _made(folder):
+                shutil.rmtree(folder, ignore_errors=True)
+                aside.rename(folder)
+                continue
+            old = {*_made(aside).get("files", []), MADE, _RESULT}
+            for file in aside.iterdir():
+                if file.name not in old and not (folder / file.name).exists():
+                    file.rename(folder / file.name)
+            shutil.rmtree(aside)
 
 
 def _made(folder: Path) -> dict[str, Any]:

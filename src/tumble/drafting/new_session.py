@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,8 +26,7 @@ from tumble.drafting.containers import check_format, files_of, unzipped
 from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.foreign_log import HEAD_ROWS, SAMPLE_ROWS, ForeignLog
 from tumble.drafting.repairs import repair_log
-from tumble.drafting.sensors_apart import log_of_recording
-from tumble.drafting.times import times_of_column
+from tumble.drafting.sensors_apart import CORE_MOTION, log_of_recording
 from tumble.errors import InputError, LogError, did_you_mean
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import programmes
@@ -38,14 +36,13 @@ from tumble.recording.formats import PX4_CORRECTED, is_recording
 from tumble.recording.log import Log
 from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import is_reading
-from tumble.recording.session import AutopilotSensor, sensors_content
+from tumble.recording.session import USUAL_RATE_U, AutopilotSensor, sensors_content
 from tumble.recording.session.log_tables import RAW
 from tumble.recording.session_file import SESSION_FILE
 from tumble.run.observed import Progress
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TEMPERATURE_UNITS
 
 _FAST_QUANTILE = 0.99  # of the magnitudes of the gyros, without single outliers
-_RATE_TOLERANCE = 0.01  # u of a sample rate without time stamps
 _MEAN_SECONDS, _FEWEST_MEANS, _GRAVITY_SHARE = 2.0, 3, 0.4
 """Duration of means, s, their least number, and the share of the readings that they keep if these contain gravity."""
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": (15e-6, 150e-6)}
@@ -59,7 +56,6 @@ _CORRECTED = {
 }
 """Doubts by the name of a column."""
 _PX4_COUNTERS = ("accel_calibration_count", "gyro_calibration_count")
-_CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -207,7 +203,9 @@ def drafted_log(
         raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
     else:
         log, imu = log_of_recording(recordings, folder, given.message)
-    draft = _draft_of_raw_numbers(repair_log(log, folder, given.sample_rate), given.sample_rate)
+    rate = given.sample_rate
+    is_shown = rate is not None and log.times(rate).stamped
+    draft = _draft_of_raw_numbers(repair_log(log, folder, None if is_shown else rate), rate)
     place = {"latitude_deg": given.latitude, "height_m": given.height}
     site = {key: value for key, value in place.items() if value is not None}
     serial = given.serial or folder.path.resolve().name or "unknown"
@@ -230,7 +228,7 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     """Return a draft from names and first numbers, with sensors as raw numbers."""
     columns, times = log.columns, log.times(rate)
     remarks, doubts = list(log.remarks), (*_doubts_of_corrected(log), *log.doubts)
-    if rate is not None and columns.time is not None:
+    if rate is not None and columns.time is not None and not times.stamped:
         remarks.append(f"time: column {columns.time!r} is not used, since the rate was given")
         doubts = (*doubts, *_contradicted_rate(log, rate))
     remarks += [f"also there, and not used: {', '.join(columns.others)}"] if columns.others else []
@@ -294,14 +292,10 @@ def _doubts_of_corrected(log: ForeignLog) -> Iterator[str]:
 
 def _contradicted_rate(log: ForeignLog, rate: float) -> Iterator[str]:
     """Yield a doubt if a stated sample rate, Hz, contradicts the log's time column in every possible unit."""
-    stamps = log.stamps()
-    times = None if stamps is None else times_of_column(stamps)
-    if stamps is None or times is None or (stamps.unit is None and np.median(np.diff(stamps.values)) == 1.0):
-        return  # no times, or a counter of samples
-    rates = [each.rate for each in (times, *times.rivals) if each.stamped]
-    if all(abs(shown - rate) > _RATE_TOLERANCE * rate for shown in rates):
+    rates = [each.rate for each in log.stamped_times()]
+    if rates and all(abs(shown - rate) > USUAL_RATE_U * rate for shown in rates):
         yield (
-            f"--sample-rate {rate:g} is taken as stated, but the times in {stamps.column!r} show {rates[0]:.4g} per "
+            f"--sample-rate {rate:g} is taken as stated, but the times in {log.columns.time!r} show {rates[0]:.4g} per "
             "second: the gyros' scale factors depend on it; leave --sample-rate out if the times are right"
         )
 
@@ -312,7 +306,7 @@ def _with_apple_sign(draft: Draft) -> Draft:
     A recording cannot determine it, because gyros predict both directions of the vertical alike. Source: Apple,
     CMAccelerometerData and CMMotionManager, Core Motion."""
     accel = draft.log["accel"]
-    if accel["unit"] != "g" or not all(_CORE_MOTION.fullmatch(name) for name in accel["columns"]):
+    if accel["unit"] != "g" or not all(map(CORE_MOTION.fullmatch, accel["columns"])):
         return draft
     table = {"columns": accel["columns"], "unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
     remark = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from decimal import Decimal
 from itertools import pairwise
 from typing import Any
 
@@ -19,6 +20,7 @@ import numpy as np
 from tumble.recording.columns.numbers import DATES
 from tumble.recording.columns.scales import FREQUENCIES
 from tumble.recording.rows.timed import leaping
+from tumble.recording.session import USUAL_RATE_U
 from tumble.units import TIME_UNITS, Array
 
 ASSUMED_RATE = 100.0  # Hz
@@ -38,24 +40,29 @@ _USUAL_BAND = 10.0, 2000.0  # Hz
 _UNUSUAL_RATE_COST, _SHORT_LOG_COST = 5.0, 8.0
 _IRREGULAR_SHARE, _IRREGULAR_FREE = 2e-2, 3  # irregular steps that are tolerated: share and number
 _PAUSE_SHARE, _PAUSE_FACTOR = 2e-3, 10.0  # longer steps than this factor times the (1 − share) quantile are pauses
+_NEAR_TYPICAL = 0.5  # of the typical step, for steps that are averaged: stamps in whole ms, without lost samples
 _LONGEST_DELAY = 0.1  # of the log; longer delays are pauses
 _JITTER = 0.25  # of the interval
 _LINE_TOLERANCE = 3.0  # intervals, of stamps about a straight line, in addition to their delays
+_FEWEST_STEPS = 10  # that grow; fewer tell no rate to some percent
 _LEAST_GROWTH = 1e-9  # of stamps in all, in any unit
 _FALLING_SHARE = 0.01  # of steps
 _RATE_IN_TEXT = re.compile(
-    r"(?:rate|frequency|freq|fs|\bat|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)",
+    r"(?:rate|frequency|freq|fs|odr|\bat|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)",
     re.IGNORECASE,
 )
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Times:
-    """Times of rows: keys of [log], remarks, the rate, Hz, the cost of the assumption, and its rivals."""
+    """Times of rows: keys of [log], remarks, the rate, Hz, the cost of the assumption, and its rivals.
+
+    `even`: stamps are even, or their rows equally spaced."""
 
     keys: dict[str, Any]
     remarks: tuple[str, ...]
     rate: float
+    even: bool = True
     cost: float = 0.0
     rivals: tuple[Times, ...] = ()
 
@@ -68,6 +75,12 @@ class Times:
 def at_rate(rate: float, cost: float) -> Times:
     """Return the times of rows without usable stamps, at a rate in Hz."""
     return Times(keys={"rate_hz": rate}, remarks=(), rate=rate, cost=cost)
+
+
+def is_rounded(stated: float, shown: float) -> bool:
+    """Return whether a stated rate, Hz, is the one that stamps show, rounded to the digits stated."""
+    last_digit = 10.0 ** min(int(Decimal(str(stated)).normalize().as_tuple().exponent), 0)
+    return abs(shown - stated) <= min(0.5 * last_digit, USUAL_RATE_U * stated)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -99,19 +112,23 @@ def times_without_column(rate: float | None, preamble: Sequence[str]) -> Times:
 
 
 def times_of_column(stamps: Stamps) -> Times | None:
-    """Return the unit and the rate of a time column; None if it does not grow like a time."""
+    """Return the unit and the rate of a time column; None if it does not grow like a time in any unit."""
     values = stamps.values[np.isfinite(stamps.values)]
     values = values[:-1] if len(values) > 3 and values[-1] < values[-2] else values  # the last line may be cut
     if len(values) < 3 or not grows_mostly(values):
         return None
     steps = np.diff(values)
     typical = _typical_step(steps)
-    if not 0.0 < typical < math.inf:
+    if not 0.0 < typical < math.inf or np.count_nonzero(steps > 0.0) < min(_FEWEST_STEPS, len(steps) // 2):
         return None
     units, how, doubts = _unit_costs(stamps, typical)
+    if not units:
+        return None
     fault = _fault_of_stamps(steps / typical)
     regular = fault is not None and _rows_are_equally_spaced(values)
-    slope = typical
+    slope, near = typical, np.abs(steps - typical) <= _NEAR_TYPICAL * typical
+    if fault is None and near.any():
+        slope = float(steps[near].mean())
     if regular:
         slope = float(np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1])
     trials = []
@@ -133,7 +150,7 @@ def times_of_column(stamps: Stamps) -> Times | None:
         remarks += doubts
         if not RATE_LIMITS[0] <= nominal <= RATE_LIMITS[1]:
             remarks.append(f"time: {nominal:.3g} samples per second is no rate of a log: is the unit right?")
-        trials.append(Times(keys=keys, remarks=tuple(remarks), rate=rate, cost=cost))
+        trials.append(Times(keys=keys, remarks=tuple(remarks), rate=rate, even=regular or fault is None, cost=cost))
     first, *rivals = trials
     whole = bool((values == np.floor(values)).all())  # fractions are of seconds, not of samples or ticks
     if whole and not stamps.clock and stamps.unit is None and how != _BY_DATES:
@@ -198,8 +215,8 @@ def overflow_of(values: Array) -> float | None:
 def recordings_of(values: Array) -> list[tuple[int, int]] | None:
     """Return the ranges of rows of successive recordings in a log, each with a clock that restarts.
 
-    None for one recording, and where a fall of the clock is small or a range short. Single stamps that leap or fall
-    back are ignored."""
+    None for one recording, and where a fall of the clock is small. Single stamps that leap or fall back are ignored,
+    and a few first rows, before the clock was set, are left out."""
     single = leaping(values, -math.inf, 0.0)
     single[1:-1] |= (values[1:-1] < values[:-2]) & (values[2:] > values[:-2])
     rows = np.flatnonzero(~single)
@@ -208,6 +225,7 @@ def recordings_of(values: Array) -> list[tuple[int, int]] | None:
     if not 0 < len(falls) <= _MOST_RECORDINGS or (steps[falls] > -_LOST_AT_RESTART * np.median(steps)).any():
         return None
     edges = list(pairwise([0, *rows[falls + 1].tolist(), len(values)]))
+    edges = edges if edges[0][1] >= _SHORTEST_RECORDING else edges[1:]
     return edges if min(stop - start for start, stop in edges) >= _SHORTEST_RECORDING else None
 
 
@@ -231,7 +249,7 @@ def _unit_costs(stamps: Stamps, step: float) -> tuple[dict[str, float], str, lis
     dated = [name for name in costs if DATES[0] < low * TIME_UNITS[name] and high * TIME_UNITS[name] < DATES[1]]
     if dated and (rates[dated[0]] > _SLOW or min(costs.values()) >= _UNUSUAL_RATE_COST):
         return {dated[0]: 0.0}, _BY_DATES, []
-    ranked = dict(sorted(costs.items(), key=lambda item: item[1])) or {"s": 0.0}
+    ranked = dict(sorted(costs.items(), key=lambda item: item[1]))
     counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too"
     return ranked, "by its steps", [f"{counted}: if it is one, give the rate (--sample-rate)"] if counts else []
 

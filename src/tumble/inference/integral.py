@@ -9,7 +9,7 @@ groups c, into which many sizes S = λ s are folded by small matrices,
 
 Groups on which the session has no information keep their usual sizes.
 
-Proposal: a Gaussian copula, φ_i = F_i⁻¹(N(z_i)), where z has the correlations of the average information. For a
+Proposal: a Gaussian copula, φ_i = F_i⁻¹(N(z_i)), where z has correlations from the average information. For a
 variance v, the gradient gives tr PD and rᵀPDPr at the maximum and the average information rᵀPDPDPr; the density of F_i
 has the same three,
 
@@ -101,6 +101,9 @@ GRID = 241  # points of densities along elements of φ
 KNOTS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0])  # standard deviations of p where ℓ is computed
 # prior standard deviations from its centre of a correlation time where ℓ is computed
 TIMES = np.array([-3.0, -2.0, -1.4, -0.9, -0.4, 0.0, 0.4, 0.9, 1.4, 2.0, 3.0])
+# Factor on the correlations of the average information for each of two elements: away from the maximum, where variances
+# vanish, they are smaller. For p of λ = exp(max(p, 0)) it is the probability of p > 0: below, φ does not matter.
+CORRELATED = 0.8
 PRIOR_SHARE = 0.15  # share of the prior in the density along a correlation time
 REACH = 8.0  # standard deviations to which densities along standard deviations extend
 # Twice the sum of 1 − u²/s² over a group, below which the group keeps its usual size.
@@ -299,6 +302,11 @@ class Proposal:
                 in_run[i] = times[i], density
             else:
                 densities[i] = density()
+        kept = np.full(len(hyperparameters), CORRELATED)
+        for i in (element for element in outer if hyperparameters[element].bounded):
+            kept[i] = 1.0 - np.interp(0.0, densities[i].phi, densities[i].cumulative)
+        correlations *= np.outer(kept, kept)
+        np.fill_diagonal(correlations, 1.0)
         return Proposal(
             outer=np.array(outer, dtype=int),
             inner=np.array(inner, dtype=int),

@@ -46,7 +46,7 @@ DECISION_RULE = (
 )
 RISK_DEFINITION = (
     "risk: the probability that the statement on a value is wrong, that it is outside where it is said to be inside, "
-    "or inside where it is said to be outside, as far as this calibration tells (JCGM 106:2012, 9.3.2)"
+    "or inside where it is said to be outside, by the uncertainty of this calibration (JCGM 106:2012, 9.3.2)"
 )
 Result = Literal["fail", "undecided", "conditional fail", "conditional pass", "pass"]
 RESULTS_WORST_FIRST: tuple[Result, ...] = get_args(Result)

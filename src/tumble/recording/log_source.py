@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import copy_context
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from itertools import tee
 from pathlib import Path
 from typing import TypeVar
@@ -120,11 +122,12 @@ def first_numbers(source: LogSource, column: str, rows: int, *, clock: bool) -> 
 
 
 def one_ahead(parts: Iterator[_Part]) -> Iterator[_Part]:
-    """Yield parts, and prepare the next part in a thread while one is used."""
+    """Yield parts, and prepare the next part in a thread, with the caller's context, while one is used."""
+    following = partial(copy_context().run, lambda: next(parts, None))
     with ThreadPoolExecutor(max_workers=1) as beside:
-        ahead = beside.submit(next, parts, None)
+        ahead = beside.submit(following)
         while (part := ahead.result()) is not None:
-            ahead = beside.submit(next, parts, None)
+            ahead = beside.submit(following)
             yield part
 
 

@@ -121,11 +121,11 @@ class TableLog(LogSource):
 
     def _batches(self, scan: pl.LazyFrame) -> Iterator[pl.DataFrame]:
         """Yield all rows of a scan in order, in batches."""
-        rows = 0
+        rows, batches = 0, None
         with readable(self.path):
-            batches = iter(scan.collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True))
             while True:
                 with without_panic():
+                    batches = batches or iter(scan.collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True))
                     table = next(batches, None)
                     if table is None and rows < self.rows:
                         wait_for_panic()
@@ -192,7 +192,7 @@ def write_tables(path: Path, tables: Iterator[pl.DataFrame], *, header: bool = T
     def source(*_: object) -> Iterator[pl.DataFrame]:
         try:
             yield from chain([first], tables)  # polars may drop the source in any thread; a chain needs no closing
-        except (Exception, KeyboardInterrupt) as error:  # polars would replace or drop it
+        except (Exception, KeyboardInterrupt, SystemExit) as error:  # polars would replace or drop it
             failed.append(error)
             raise
 

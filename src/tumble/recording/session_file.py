@@ -42,8 +42,8 @@ def read_session(folder: FilePath) -> Session:
     path = given if given.is_file() or given.name == SESSION_FILE else given / SESSION_FILE
     if path.name != SESSION_FILE:
         raise SessionError(
-            f"{path}: expected a session folder or its {SESSION_FILE}, found another file; of a log `tumble new` makes "
-            "a session, and so does `tumble calibrate` with --latitude"
+            f"{path}: expected a session folder or its {SESSION_FILE}, found another file; `tumble new` makes a "
+            "session from a log, and so does `tumble calibrate` with --latitude"
         )
     if "\0" not in str(path) and not path.exists():
         if not path.parent.is_dir():
@@ -51,8 +51,8 @@ def read_session(folder: FilePath) -> Session:
                 f"{given}: expected a session folder or its {SESSION_FILE}, found no such file or folder"
             )
         raise SessionError(
-            f"{path}: expected a session folder with a {SESSION_FILE}, found none; of a log `tumble new` makes a "
-            "session, and so does `tumble calibrate LOG` with --latitude"
+            f"{path}: expected a session folder with a {SESSION_FILE}, found none; `tumble new` makes a session from a "
+            "log, and so does `tumble calibrate LOG` with --latitude"
         )
     content = toml_of(text_of_document(path, SessionError), str(path), SessionError)
     return _with_files(validated(SessionDocument, content, str(path), SessionError).si(path.parent), str(path))

@@ -40,7 +40,6 @@ from tumble.inference.prediction import directions
 from tumble.recording.arrays import Temperatures, celsius_of, check_kinds, numbers_of
 from tumble.result.accepted import accepted_kinds
 from tumble.result.record import CalibrationData
-from tumble.result.temperature_curves import thermal_parameters
 from tumble.sensors.compensation import FIXED_POINT_STEPS, Compensator
 from tumble.sensors.instrument import functions, is_linear
 from tumble.sensors.model import UNITS, Block, SensorKind, SensorModel
@@ -61,9 +60,9 @@ def session_rate(calibration: CalibrationData) -> float:
     return USUAL_RATE if prediction is None or prediction.at_rate is None else prediction.at_rate
 
 
-def readings_at(calibration: CalibrationData, kind: SensorKind, force: Array, rate: Array) -> Array:
+def readings_at(compensator: Compensator, kind: SensorKind, force: Array, rate: Array) -> Array:
     """Return readings (N, n), SI, by the whole model at specific forces (N, 3), m/s², and rates (N, 3), rad/s."""
-    block, K = calibration.compensator.sensors(kind)
+    block, K = compensator.sensors(kind)
     assert block is not None
     return np.asarray(np.einsum("npb,pb->np", functions(block, force, rate), K, optimize=True))
 
@@ -75,14 +74,14 @@ def best_linear_model(calibration: CalibrationData, kind: SensorKind, held: Cont
     model = calibration.accel if kind == "accel" else calibration.gyro
     assert model is not None
     fitted = _without(calibration, held)
-    if fitted.compensator.linear:
+    if fitted.linear:
         return model
     if kind == "accel":  # Eq. (2)
         design = np.column_stack([G_STANDARD * UP, np.ones(len(UP))])
         readings = readings_at(fitted, kind, G_STANDARD * UP, np.zeros_like(UP))
         solution = np.asarray(np.linalg.lstsq(design, readings)[0], dtype=float)
         return SensorModel(matrix=solution[:3].T, bias=solution[3])
-    at_rest = fitted.compensator.gyro_coefficients[:, CONSTANT]  # Eq. (3)
+    at_rest = fitted.gyro_coefficients[:, CONSTANT]  # Eq. (3)
     rates = session_rate(calibration) * np.concatenate([UP / 3.0, UP / 1.5, UP])[:, [1, 2, 0]]
     force = G_STANDARD * np.tile(UP, (3, 1))
     mean_readings = 0.5 * (readings_at(fitted, kind, force, rates) + readings_at(fitted, kind, -force, rates))
@@ -103,8 +102,9 @@ def correction_errors(
     return np.asarray(np.linalg.norm(correct(readings) - true, axis=1))
 
 
-def _without(calibration: CalibrationData, held: Container[str]) -> CalibrationData:
-    return replace(calibration, parameters=tuple(p for p in calibration.parameters if group_name(p.name) not in held))
+def _without(calibration: CalibrationData, held: Container[str]) -> Compensator:
+    kept = tuple(p for p in calibration.parameters if group_name(p.name) not in held)
+    return replace(calibration, parameters=kept).compensator
 
 
 # -------------------- as any program can apply it --------------------
@@ -198,7 +198,7 @@ def correction_content(calibration: CalibrationData) -> dict[str, Any]:
         if terms:
             formula += f", {FIXED_POINT_STEPS + 1} times from terms = 0, terms = {' + '.join(terms)}"
             formula += ", s = axis · " + symbol if {"cubic", "asymmetry"} & tables.keys() else ""
-        if thermal_parameters(calibration) and compensator.warm:
+        if compensator.warm:
             tables |= thermal_tables(compensator, kind)
             curve = "(bias_curve + d bias_cube)" if "bias_cube" in tables else "bias_curve"
             formula += (

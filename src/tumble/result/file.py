@@ -113,7 +113,7 @@ def _parameter_content(parameter: Parameter) -> dict[str, Any]:
 
 def _known_content(circumstances: Circumstances) -> dict[str, Any]:
     content = asdict(circumstances) | {"equipment": list(circumstances.equipment)}
-    content["conditions"] = {key: value for key, value in content["conditions"].items() if value is not None}
+    content["conditions"] = circumstances.conditions.model_dump(exclude_none=True)
     return {key: value for key, value in content.items() if value}
 
 

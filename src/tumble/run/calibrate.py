@@ -39,10 +39,9 @@ from tumble.result.calibration import Calibration, calibration_from, read_calibr
 from tumble.result.parts import Provenance
 from tumble.rotation import UP
 from tumble.run.from_estimate import build_calibration, gap_notes, mean_temperature, refused_calibration
-from tumble.run.observed import Progress, inspected, observations_for_calibration
+from tumble.run.observed import Progress, grade_of, inspected, observations_for_calibration
 from tumble.run.warming import calibrate_warming, is_still
 from tumble.sensors.frames import Convention, Frame
-from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import Terms, prior_sizes, usual_sizes
 from tumble.units import G_STANDARD
@@ -51,7 +50,6 @@ _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
-OTHER_GRADE_NOISE = 10.0  # ratio to the usual white noise of a grade; within a grade noise differs by a factor of 3
 CLOCK_CONTRADICTED = 3.0  # u of the time base; a larger error of the clock is a remark instead of a note
 
 
@@ -314,30 +312,6 @@ def with_grade(session: Session, observations: Observations) -> Observations:
         drift={kind: usual[f"{kind}.bias.drift"] for kind in ("accel", "gyro") if f"{kind}.bias.drift" not in sizes},
         notes=(*observations.notes, note + origin),
     )
-
-
-def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
-    """Return the grade of a session's device, and the evidence if it was guessed, or "" if it was stated.
-
-    It is guessed if none is stated, or if the recording contradicts the stated grade: the guess is a poorer grade, and
-    the noise exceeds OTHER_GRADE_NOISE times that of the stated grade, or gyro biases are too large for it."""
-    rests, links = observations.rests, observations.links
-    white = {  # median noise density, SI/√Hz: at rest, or in motion without rests
-        kind: float(np.median(noise))
-        for kind, noise in (("accel", rests.accel_noise), ("gyro", rests.gyro_noise))
-        if noise.size
-    }
-    if links is not None and not len(rests):
-        white = {"accel": links.accel_density**0.5, "gyro": links.gyro_density**0.5}
-    bias = float(np.abs(np.median(rests.gyro, axis=0)).max()) if "gyro" in white and len(rests) else 0.0
-    guess, because = guessed_grade(white["accel"], white.get("gyro"), bias)
-    stated, order = session.device.grade, list(GRADES)
-    if stated is None:
-        return guess, because
-    kind = "gyro" if "gyro" in white else "accel"
-    noisier = white[kind] > OTHER_GRADE_NOISE * getattr(grade_named(stated).noise, f"{kind}_white")
-    poorer = order.index(guess) > order.index(stated)
-    return (guess, because) if poorer and (noisier or because != "the noise") else (stated, "")
 
 
 def estimate_observations(

@@ -179,15 +179,6 @@ class Instrument:
         """Return K (n, 15) and ∂K/∂θ (n, 15, m) of accelerometers and gyros, read-only."""
         return _linearised(self, np.asarray(values, dtype=float).tobytes())
 
-    def _linearised(self, values: Array) -> tuple[Array, Array]:
-        K, D = self._constant @ values, self._constant.copy()
-        for block in self.blocks:
-            rows, columns, measured = self.rows(block), self.own(block), measured_by(block)
-            model, jacobian = block.linearised(values[columns])
-            K[rows, measured], K[rows, CONSTANT] = model[:, :3], model[:, 3]
-            D[rows, measured, columns], D[rows, CONSTANT, columns] = jacobian[:, :3], jacobian[:, 3]
-        return K, D
-
     def rows(self, block: Block) -> slice:
         """Return the positions of the sensors of a block among all, accelerometers before gyros."""
         return slice(self.accel.size) if block.kind == "accel" else slice(self.accel.size, None)
@@ -216,10 +207,15 @@ class Instrument:
 @lru_cache(maxsize=4)
 def _linearised(instrument: Instrument, values: bytes) -> tuple[Array, Array]:
     """Return `Instrument.linearised`, cached: an estimate evaluates it repeatedly at one point."""
-    out = instrument._linearised(np.frombuffer(values))
-    for array in out:
-        array.flags.writeable = False
-    return out
+    point = np.frombuffer(values)
+    K, D = instrument._constant @ point, instrument._constant.copy()
+    for block in instrument.blocks:
+        rows, columns, measured = instrument.rows(block), instrument.own(block), measured_by(block)
+        model, jacobian = block.linearised(point[columns])
+        K[rows, measured], K[rows, CONSTANT] = model[:, :3], model[:, 3]
+        D[rows, measured, columns], D[rows, CONSTANT, columns] = jacobian[:, :3], jacobian[:, 3]
+    K.flags.writeable = D.flags.writeable = False
+    return K, D
 
 
 def measured_by(block: Block) -> slice:

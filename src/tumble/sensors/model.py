@@ -185,22 +185,6 @@ class Block:
         """Return [matrix | bias] (n, 4) of parameter values, and its `jacobian`; read-only."""
         return _linearised(self, np.asarray(values, dtype=float).tobytes())
 
-    def _linearised(self, values: Array) -> tuple[Array, Array]:
-        n, m = self.size, len(values)
-        model, out = np.empty((n, 4)), np.zeros((n, 4, m))
-        index, scale, angles = np.arange(n), values[n : 2 * n], values[2 * n :]
-        model[self.channels, 3], out[self.channels, 3, index] = values[:n], 1.0
-        gain, rotated = (1.0 + scale)[:, None], self._rotated(angles)
-        model[self.channels, :3], out[self.channels, :3, n + index] = gain * rotated, rotated
-        for which in (0, 1):  # a complex step, exact to rounding; an angle affects only its own sensor
-            stepped, members = angles.astype(complex), [i for i, free in enumerate(self._free) if free[1] == which]
-            stepped[members] += 1e-20j
-            change = gain * self._rotated(stepped).imag / 1e-20
-            for i in members:
-                sensor = self._free[i][0]
-                out[self.channels[sensor], :3, 2 * n + i] = change[sensor]
-        return model, out
-
     def _rotated(self, angles: Array) -> Array:
         """Return unit sensing axes (n, 3), in the order of `sensors`, for values of the free angles, real or
         complex."""
@@ -249,10 +233,20 @@ def _along_body_axes(axes: bytes) -> bool:
 @lru_cache(maxsize=64)
 def _linearised(block: Block, values: bytes) -> tuple[Array, Array]:
     """Return `Block.linearised`, cached: an estimate evaluates it repeatedly at one point."""
-    out = block._linearised(np.frombuffer(values))
-    for array in out:
-        array.flags.writeable = False
-    return out
+    (bias, scale, angles), n = np.split(np.frombuffer(values), [block.size, 2 * block.size]), block.size
+    model, jacobian, index = np.empty((n, 4)), np.zeros((n, 4, len(values) // 8)), np.arange(n)
+    model[block.channels, 3], jacobian[block.channels, 3, index] = bias, 1.0
+    gain, rotated = (1.0 + scale)[:, None], block._rotated(angles)
+    model[block.channels, :3], jacobian[block.channels, :3, n + index] = gain * rotated, rotated
+    for which in (0, 1):  # a complex step, exact to rounding; an angle affects only its own sensor
+        stepped, members = angles.astype(complex), [i for i, free in enumerate(block._free) if free[1] == which]
+        stepped[members] += 1e-20j
+        change = gain * block._rotated(stepped).imag / 1e-20
+        for i in members:
+            sensor = block._free[i][0]
+            jacobian[block.channels[sensor], :3, 2 * n + i] = change[sensor]
+    model.flags.writeable = jacobian.flags.writeable = False
+    return model, jacobian
 
 
 @lru_cache(maxsize=64)

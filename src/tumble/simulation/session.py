@@ -117,16 +117,16 @@ def write_simulation(
     import polars as pl  # slow to import
 
     log = f"log.{log_format}" if log_format != "counts" else "log.csv"
-    for name, what in ((SESSION_FILE, "a session"), (log, log), (TRUTH_FILE, TRUTH_FILE)):
-        if (folder / name).exists():
-            raise InputError(f"{folder}: expected a new folder, found {what} in it; give another one")
-    recording = record(scenario, rng)
-    truth = {name: scenario.truth[name] for name in scenario.names}
-    if (climate := scenario.climate) is not None:
-        truth |= {REFERENCE_NAME: climate.reference - ZERO_CELSIUS}
-        truth |= {f"{kind}.lag": lag for kind, lag in climate.lags.items()}
     try:
         with nothing_left(folder) as output:
+            for name, what in ((SESSION_FILE, "a session"), (log, log), (TRUTH_FILE, TRUTH_FILE)):
+                if (folder / name).exists():
+                    raise InputError(f"{folder}: expected a new folder, found {what} in it; give another one")
+            recording = record(scenario, rng)
+            truth = {name: scenario.truth[name] for name in scenario.names}
+            if (climate := scenario.climate) is not None:
+                truth |= {REFERENCE_NAME: climate.reference - ZERO_CELSIUS}
+                truth |= {f"{kind}.lag": lag for kind, lag in climate.lags.items()}
             frame = pl.DataFrame(_columns_of(scenario, recording))  # SI; float64 survives in both formats
             if log_format == "counts":
                 counted = {"t": ("ms", 1e3)}
@@ -141,7 +141,7 @@ def write_simulation(
             with whole_file(output.new_file(TRUTH_FILE)) as temporary:
                 temporary.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
             if log_format != "counts":
-                write_session(folder, _content(scenario, log_format))
+                write_session(output.new_file(SESSION_FILE).parent, _content(scenario, log_format))
     except OSError as error:
         raise InputError(f"{folder}: expected a folder to write to, found: {error.strerror or error}") from None
     return folder

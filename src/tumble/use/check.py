@@ -57,9 +57,8 @@ from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import gravity_sensitivity, shared_gravity
 from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.record import to_references
-from tumble.run.calibrate import grade_of
 from tumble.run.from_estimate import check_sensors, mean_temperature, sensor_temperatures
-from tumble.run.observed import inspect_session, observations_for_calibration
+from tumble.run.observed import grade_of, inspect_session, observations_for_calibration
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name, group_of, shown_in, usual_sizes, variable_of

@@ -216,7 +216,7 @@ def _largest_change(calibration: Calibration, changes: Mapping[str, float]) -> s
     """Return the largest change of a parameter in units of u."""
     sigmas = {p.name: abs(changes[p.name]) / p.u for p in calibration.parameters if p.u and p.name in changes}
     name = max(sigmas, key=sigmas.__getitem__, default="")
-    return f"at most {significant(sigmas[name], 2)} u ({name})" if name else "what no u says"
+    return f"at most {significant(sigmas[name], 2)} u ({name})" if name else "an amount that cannot be given in u"
 
 
 # -------------------- tables --------------------

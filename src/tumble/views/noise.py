@@ -76,7 +76,7 @@ def noise_blocks(noise: RecordedNoise) -> list[Block]:
     for panel in noise.panels:  # ambiguous or missing fits
         for channel, p in zip(panel.channels, panel.parameters, strict=True):
             if p.runner_up and p.margin < CLOSE:
-                blocks.append(f"{channel}: {p.runner_up} would do nearly as well; a longer record tells.")
+                blocks.append(f"{channel}: {p.runner_up} fits nearly as well; a longer record can decide.")
             if p.probability < MISFIT_PROBABILITY:
                 none = "no sum of processes fits (vibration, a filter?); u is enlarged by what is left."
                 blocks.append(f"{channel}: {none}")

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import logging
 import os
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -25,6 +24,7 @@ import numpy as np
 
 from tumble.bench.state import Received
 from tumble.errors import InputError
+from tumble.files import lock
 from tumble.recording.live.lines import Lines, numbers_in
 from tumble.recording.live.sources import Ended, LineSource
 from tumble.recording.session import LogSpec, Session
@@ -42,7 +42,6 @@ NEXT_SECONDS = 1.0  # largest step between consecutive times of one clock
 AGREEING_ROWS = 20  # consecutive rows whose times are trusted
 _WRITE_BYTES = 1 << 20
 _LINE_BYTES = 1 << 16
-_LOCKED_BYTE = 1 << 40  # beyond the end of any log, for systems that lock bytes
 
 
 class Recorder:
@@ -61,20 +60,8 @@ class Recorder:
         self._synced = time.monotonic()
         self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0), 0o666)
         try:
-            try:  # lock the log against other recorders while it is open
-                if sys.platform == "win32":
-                    import msvcrt
-
-                    os.lseek(self._descriptor, _LOCKED_BYTE, os.SEEK_SET)
-                    msvcrt.locking(self._descriptor, msvcrt.LK_NBLCK, 1)
-                else:
-                    import fcntl
-
-                    fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                raise InputError(
-                    f"{path}: expected a log that nobody records, found one that another process does"
-                ) from None
+            if not lock(self._descriptor):  # against other recorders, while it is open
+                raise InputError(f"{path}: expected a log that nobody records, found one that another process does")
             if not self._truncate_to_lines(keep_rest=True):
                 self.append(header.encode() + b"\n")
                 return

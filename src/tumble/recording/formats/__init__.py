@@ -177,6 +177,7 @@ def messages(*paths: Path) -> list[Message]:
         sensors, remedy = nothing[0], ""
         if any(message.gyro for message in found):
             sensors = "gyros alone"
+            remedy = "; record the accelerometers too, or give tumble calibrate or tumble noise the gyros as CSV"
         elif any(MAGNETOMETER in message.triads for message in found):
             sensors, remedy = "a magnetometer alone", "; record the accelerometers with it"
         raise InputError(f"{paths[0]}: expected messages with accelerometers, found {sensors}{remedy}")

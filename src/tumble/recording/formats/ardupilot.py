@@ -24,12 +24,14 @@ from pymavlink import mavutil
 from pymavlink.DFReader import DFReader_binary, DFReader_text
 from scipy.spatial.transform import Rotation
 
+from tumble.errors import InputError
 from tumble.recording.formats import AXES, TIME, Message, triads_of
 from tumble.recording.panic import COMMAND_LINE, without_panic
 from tumble.recording.session import AutopilotSensor
 
 NOTHING = "no messages IMU or ACC; set bit 'IMU' of LOG_BITMASK and record again"
 
+_HEAD, _HEAD_WITHIN = b"\xa3\x95", 4096  # before every message; bytes
 _PARAMETER = "PARM"
 _TIME = "TimeUS"
 _NAMED_INSIDE = 3  # INS_ACC3_ID, but INS4_ACC_ID
@@ -79,6 +81,8 @@ def messages(path: Path) -> list[Message]:
                 kept.setdefault((kind, instance), []).append(reading)
         finally:
             log.close()
+    if not kept and path.suffix.lower() == ".bin" and _HEAD not in path.read_bytes()[:_HEAD_WITHIN]:
+        raise InputError(f"{path}: expected a log of ArduPilot, found another binary file; export its readings as CSV")
     origin = min((rows[0][0] for rows in kept.values()), default=0.0)
     return [
         _message(kind, instance, np.array(rows, dtype=float), origin, parameters)

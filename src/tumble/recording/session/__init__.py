@@ -301,14 +301,13 @@ IsoDate = Annotated[str, AfterValidator(_is_date)]
 """A date or a date with a time by ISO 8601."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class AirConditions:
-    """Temperature with its standard uncertainty (K), relative humidity and air pressure; None if unknown."""
+class AirConditions(SessionTable):
+    """Temperature with its standard uncertainty, relative humidity and air pressure, as in session.conditions."""
 
-    temperature_degC: float | None = None  # noqa: N815
-    temperature_u: Annotated[float, Field(ge=0.0)] | None = None
-    humidity_percent: float | None = None
-    pressure_hPa: float | None = None  # noqa: N815
+    temperature_degC: float | None = key("a number from -90 to 200 (°C)", ge=-90, le=200)  # noqa: N815
+    temperature_u: float | None = key("a number, not negative (K)", ge=0)
+    humidity_percent: float | None = key("a number from 0 to 100 (%)", ge=0, le=100)
+    pressure_hPa: float | None = key("a number from 0 to 1200 (hPa)", gt=0, le=1200)  # noqa: N815
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -319,7 +318,7 @@ class Circumstances:
 
     date: IsoDate | None = None
     operator: str | None = None
-    conditions: AirConditions = AirConditions()
+    conditions: AirConditions = field(default_factory=AirConditions)
     equipment: tuple[str, ...] = ()
 
 

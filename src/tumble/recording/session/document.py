@@ -154,25 +154,12 @@ class DeviceTable(SessionTable):
         )
 
 
-class ConditionsTable(SessionTable):
-    """session.conditions"""
-
-    temperature_degC: float | None = Field(  # noqa: N815
-        default=None, ge=-90, le=200, description="a number from -90 to 200 (°C)"
-    )
-    temperature_u: float | None = key("a number, not negative (K)", ge=0)
-    humidity_percent: float | None = key("a number from 0 to 100 (%)", ge=0, le=100)
-    pressure_hPa: float | None = Field(  # noqa: N815
-        default=None, gt=0, le=1200, description="a number from 0 to 1200 (hPa)"
-    )
-
-
 class CircumstancesTable(SessionTable):
     """[session]"""
 
     date: datetime | date_type | None = key("a date, or a date with a time, without quotes")
     operator: Annotated[str, AfterValidator(check_plain)] | None = key("a name, a string", min_length=1)
-    conditions: ConditionsTable = Field(default_factory=ConditionsTable, description="a table of conditions")
+    conditions: AirConditions = Field(default_factory=AirConditions, description="a table of conditions")
     equipment: list[Annotated[str, AfterValidator(check_plain)]] = Field(
         default_factory=list, description="a list of strings"
     )
@@ -181,7 +168,7 @@ class CircumstancesTable(SessionTable):
         return Circumstances(
             date=None if self.date is None else self.date.isoformat(),
             operator=self.operator,
-            conditions=AirConditions(**self.conditions.model_dump()),
+            conditions=self.conditions,
             equipment=tuple(self.equipment),
         )
 

@@ -189,7 +189,8 @@ def _fit_channels(channels: list[list[Array]], longest: int, is_sloping: BoolArr
     lengths = np.array([len(x) for x in channels[0]])
     order_limit, total = min(MAX_ORDER, int(np.median(lengths)) // 4), int(lengths.sum())
     raw = np.array([_products(series, order_limit) for series in channels])
-    raw /= [np.maximum(lengths - lag, 0).sum() for lag in range(order_limit + 1)]  # another divisor shortens the memory
+    pairs = np.maximum(lengths - np.arange(order_limit + 1)[:, None], 0)
+    raw /= pairs.sum(axis=1)  # another divisor shortens the memory
     noisy = np.flatnonzero(raw[:, 0] > 0.0)
     filters, autocovariance = [np.array([1.0])] * len(channels), np.zeros((len(channels), longest))
     distinct, counts = np.unique(lengths[lengths > 0], return_counts=True)

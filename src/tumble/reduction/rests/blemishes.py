@@ -60,7 +60,7 @@ def without_blemishes(reduction: Reduction) -> Reduction:
 
 def _find_blemishes(reduction: Reduction, samples: MotionSamples, f: FileBlocks, side: int) -> Iterator[Blemish]:
     """Yield the blemishes of a file, the shortest first, by comparison with `side` blocks before and after each."""
-    tuning, values = reduction.tuning, np.hstack([f.accel.means, f.gyro.means])
+    tuning, values = reduction.tuning, np.asfortranarray(np.hstack([f.accel.means, f.gyro.means]))
     if len(values) <= 2 * side:
         return
     steps = np.array([channel.step for channel in (*reduction.accel_channels, *reduction.gyro_channels)])
@@ -77,9 +77,10 @@ def _find_blemishes(reduction: Reduction, samples: MotionSamples, f: FileBlocks,
         off = np.abs(
             sliding_mean(values[side : side + count + length - 1], length) - 0.5 * (mean[before] + mean[after])
         )
-        is_off = (off > tuning.block_beyond * scatter + resolution).any(axis=1)
-        agree = np.abs(mean[after] - mean[before]) <= tuning.sides_agree * np.sqrt(2.0 / side) * scatter + resolution
-        for first in (side + np.flatnonzero(is_off & agree.all(axis=1))).tolist():
+        at = np.flatnonzero((off > tuning.block_beyond * scatter + resolution).any(axis=1))
+        tolerance = tuning.sides_agree * np.sqrt(2.0 / side) * scatter[at] + resolution
+        agree = (np.abs(mean[after][at] - mean[before][at]) <= tolerance).all(axis=1)
+        for first in (side + at[agree]).tolist():
             run = slice(first, first + length)
             bad = 0 if is_taken[run].any() else _bad_samples(samples, f, run, side, tuning)
             if bad:
