@@ -352,7 +352,8 @@ def _gyro_trials(
 ) -> Iterator[tuple[Times, SensorScale | None, float]]:
     """Yield times and gyro scales with the cost of turns, readings and assumptions.
 
-    If the rate is unknown, the rate at which the turns fit a unit best is also tried."""
+    If the rate is unknown, the rate at which the turns fit a unit best is also tried; and with time stamps, that a unit
+    in a name is wrong: its name stays, and the calibration refuses it with the unit that fits."""
     assumed_times = (draft.times, *draft.times.rivals)
     nominal = None if profile is None else profile.of_nominal(widths.scale)
     if not gyros:
@@ -374,6 +375,11 @@ def _gyro_trials(
             if profile is not None or gyro.unit is not None:
                 cost += _cost_of_readings(evidence, scale, times.rate, draft, widths)
             yield times, scale, cost
+        if nominal is not None and draft.times.stamped and draft.unit(GYRO) == gyro.unit is not None:
+            for others in (o for o in CANDIDATES[GYRO] if o.unit not in (None, gyro.unit) and not o.increment):
+                cost = nominal.at(math.log(others.reading(draft.times.rate) * draft.times.rate / DEGREE))
+                cost += _cost_of_readings(evidence, others, draft.times.rate, draft, widths)
+                yield draft.times, gyro, cost - 2.0 * math.log(widths.named_wrongly)
 
 
 def _assumed_scales(kind: str, draft: Draft, unlisted: float) -> Iterator[tuple[SensorScale, float]]:

@@ -32,7 +32,7 @@ from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import programmes
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit, unit_of_name
 from tumble.recording.columns.scales import resolution_in_deg_s
-from tumble.recording.formats import is_recording
+from tumble.recording.formats import PX4_CORRECTED, is_recording
 from tumble.recording.log import Log
 from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import is_reading
@@ -49,6 +49,13 @@ _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": 
 """Magnetic fields on Earth, with iron nearby."""
 _SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEGREE)}
 _PLAUSIBLE_TEMPERATURES = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # median of a recording
+_CORRECTED = {
+    "accelerometer_m_s2[0]": PX4_CORRECTED,
+    "accSmooth[0]": "accSmooth is what Betaflight has corrected by align_board_* and acc_calibration (iNav: acczero_*, "
+    "accgain_*): an export is wrong unless these were 0 (gains 4096) while recording",
+}
+"""Doubts by the name of a column."""
+_PX4_COUNTERS = ("accel_calibration_count", "gyro_calibration_count")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -220,7 +227,7 @@ def drafted_log(
 def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     """Return a draft from names and first numbers, with sensors as raw numbers."""
     columns, times = log.columns, log.times(rate)
-    remarks, doubts = list(log.remarks), log.doubts
+    remarks, doubts = list(log.remarks), (*_doubts_of_corrected(log), *log.doubts)
     if rate is not None and columns.time is not None and not times.stamped:
         remarks.append(f"time: column {columns.time!r} is not used, since the rate was given")
         doubts = (*doubts, *_contradicted_rate(log, rate))
@@ -272,6 +279,15 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
         step=resolution_in_deg_s(head[GYRO]) if GYRO in triads and not whole[GYRO] else None,
         kept=log.kept,
     )
+
+
+def _doubts_of_corrected(log: ForeignLog) -> Iterator[str]:
+    """Yield doubts about readings that a flight controller has corrected, by the names of their columns."""
+    columns = [column for sensors in log.columns.triads.values() for column in sensors.columns]
+    for name, sentence in _CORRECTED.items():
+        counters = [c for c in _PX4_COUNTERS if c in log.names]  # of calibrations; 0 without any
+        if name in columns and not (len(counters) == len(_PX4_COUNTERS) and not log.read(counters).any()):
+            yield sentence
 
 
 def _contradicted_rate(log: ForeignLog, rate: float) -> Iterator[str]:

@@ -82,7 +82,8 @@ def log_of_recording(
         temperatures=temperatures or tuple(t for m in thermometers for t in m.temperatures),
     )
     imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
-    return ForeignLog(files=(log,), keys={}, columns=columns, remarks=tuple(remarks)), imu
+    doubts = tuple(dict.fromkeys(m.doubt for m in taken if m.doubt))
+    return ForeignLog(files=(log,), keys={}, columns=columns, remarks=tuple(remarks), doubts=doubts), imu
 
 
 def _belong_together(accel: Message, gyro: Message) -> bool:

@@ -138,7 +138,7 @@ class FieldCheck(Judged):
             return _rests_beyond(self.rests, self.rest_limit)
         if self.explained:
             return tuple(change_text(change) for change in self.changes)
-        agree = "its rests alone agree with the calibration, so that the turns are to blame; "
+        agree = "its rests alone agree with the calibration: its turns, or gyros that drift between rests, do not; "
         turns = agree if self.rests_agree else ""
         return (
             f"no change of biases, scale factors or axes explains the session, so that it says nothing of them: "

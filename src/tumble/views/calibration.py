@@ -17,6 +17,7 @@ import numpy as np
 from tumble.diagnosis.in_motion import IN_MOTION
 from tumble.diagnosis.verdict import gravity_text
 from tumble.files import FilePath
+from tumble.reduction.rests.warming import OVER_TEMPERATURE
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import notes_without_expanded
@@ -67,9 +68,10 @@ def _over_temperature(calibration: Calibration) -> list[Block]:
     if not count or measured is None:
         return []
     low, high = measured
-    return [
-        f"over temperature, {low:.0f} to {high:.0f} °C: {count} coefficients with their u, in the file and by --all"
-    ]
+    over = f"over temperature, {low:.0f} to {high:.0f} °C"
+    if high - low < OVER_TEMPERATURE:
+        over += f", only {high - low:.1f} K, in which a drift in time looks like a slope"
+    return [f"{over}: {count} coefficients with their u, in the file and by --all"]
 
 
 def calibration_blocks(
@@ -173,7 +175,10 @@ def calibration_blocks(
         lines.append(f"{other.method} differs from {calibration.method} by {_largest_change(calibration, changes)}")
     lines += notes_without_expanded(parameters)
     if accepted_kinds(calibration):
-        following = f"next: tumble export {shlex.quote(str(file))} --to json -o imu.json (others: --help)"
+        to = "px4 -o imu.params (ardupilot" if calibration.imu else "json -o imu.json ("
+        following = (
+            f"next: tumble export {shlex.quote(str(file))} --to {to}{', ' * bool(calibration.imu)}others: --help)"
+        )
     else:
         there = "the rests and turns that were found" if evidence.rests else "what was found in the recording"
         following = f"next: tumble inspect {shlex.quote(str(session))} ({there})"
@@ -190,6 +195,7 @@ def remarks_of(calibration: Calibration) -> tuple[str, ...]:
     decided, assumed = decided_by_priors(calibration), calibration.provenance.assumptions
     doubts = [sentence for sentence in assumed if sentence.startswith("doubt")]
     others = [sentence for sentence in assumed if sentence not in doubts]
+    others.sort(key=lambda sentence: "usual for time stamps" in sentence)  # some ppm, the least harmful
     if not accepted_kinds(calibration):  # only a misread log may be the cause
         others = []
     return (*doubts, *calibration.outcome.remarks, *others, *([decided] if decided is not None else []))
@@ -197,7 +203,9 @@ def remarks_of(calibration: Calibration) -> tuple[str, ...]:
 
 def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
     """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, and a line on the others."""
-    remarks, notes, shown = remarks_of(calibration), calibration.provenance.notes, list[str]()
+    notes, shown = calibration.provenance.notes, list[str]()
+    lost = [note for note in notes if note.startswith("turn ") and " is left out" in note]
+    remarks, notes = (*remarks_of(calibration), *lost), tuple(note for note in notes if note not in lost)
     for remark in remarks[:MAX_REMARKS]:
         if shown and len(text_of([Items(items=(*shown, f"remark: {remark}"))], WIDTH).splitlines()) > max_lines:
             break

@@ -84,7 +84,9 @@ class Dialect:
         if line and len(line) < _PLAIN_LENGTH and not _NOT_PLAIN.search(line):  # much faster than csv
             return [cell.strip() for cell in line.split(self.delimiter)]
         try:
-            return [cell.strip() for cell in next(csv.reader([line], delimiter=self.delimiter), [])]
+            return [
+                cell.strip() for cell in next(csv.reader([line], delimiter=self.delimiter, skipinitialspace=True), [])
+            ]
         except csv.Error:
             return [line]
 
