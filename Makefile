@@ -14,7 +14,7 @@ demo: .venv/demo
 bench-demo: .venv/bench
 	rm -rf demo/recorded demo/bench
 	$(BIN)/tumble simulate demo/recorded --grade mems --rest 20 --turn-rate 30 --format csv --seed 3
-	$(BIN)/tumble bench demo/bench --listen replay:demo/recorded@10x --browser
+	$(BIN)/tumble bench demo/bench --listen replay:demo/recorded@10x
 
 test: kernels lint
 	$(PYTEST) -m 'not weekly'

@@ -5,8 +5,4 @@ from __future__ import annotations
 from tumble.lazy import names_of
 
 __all__, __getattr__ = names_of(__name__, __file__)
-
-
-def __dir__() -> list[str]:
-    """Return the names, imported or not."""
-    return __all__
+__dir__ = __all__.copy  # the names, imported or not

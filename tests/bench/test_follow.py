@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,15 +13,22 @@ import pytest
 
 from tests.support.bench_driver import SAMPLE_RATE, Bench, Unit
 from tests.support.browser import eventually
-from tumble import calibrate
+from tests.support.shared import session as shared_session
+from tumble import Setup, calibrate
 from tumble.bench import screens
+from tumble.bench.follow.estimates import estimate_so_far, gains
 from tumble.bench.follow.faults import SampleWatch
-from tumble.bench.follow.task import wanted_by_group
+from tumble.bench.follow.task import Task, Wanted, wanted_by_group
 from tumble.bench.record.recorder import NOTHING_RECEIVED
 from tumble.bench.station import Station
 from tumble.errors import InputError
 from tumble.programme.sheet import ghost
 from tumble.recording.session_file import read_session
+from tumble.reduction.observations import observe
+from tumble.reduction.rests.segmentation import find_rests
+from tumble.rotation import unit_vector
+from tumble.run.observed import inspect_session
+from tumble.sensors.parameters import group_name
 
 
 @pytest.fixture
@@ -382,3 +390,28 @@ def test_wishes_are_those_that_are_stated_and_else_the_grades() -> None:
     assert set(found) == {f"{kind}.{what}" for kind in ("accel", "gyro") for what in ("bias", "scale", "axis")}
     with pytest.raises(InputError, match="want"):
         wanted_by_group(("gyro.scal=2ppm",), "tactical")
+
+
+@pytest.mark.parametrize("gravity_u", [3e-4, 4e-3], ids=["height known", "height unknown"])
+def test_a_further_rest_leaves_of_the_uncertainty_what_was_forecast(gravity_u: float) -> None:
+    """u over the wanted u, root mean square, before and after each of a session's rests, forecast at its attitude."""
+    setup = Setup.of(grade="mems", positions=20, rest=10.0, gravity_u=gravity_u)
+    session = replace(read_session(shared_session(setup, seed=2)), programme=None)
+    task = Task.of(session, Wanted.of((), "mems"), "mems")
+    reduction, block, wanted = inspect_session(session).reduction, session.accel_block, task.wanted
+    rests = find_rests(reduction, block, session.gyro_block)
+    weights = np.array([1.0 / wanted.group[group_name(name)] for name in block.names])
+    ratios = []
+    for count in range(10, 20, 2):
+        u = []
+        for number in (count, count + 1):
+            estimate = estimate_so_far(session, "mems", reduction, replace(rests, rests=rests.rests[:number]), ())
+            assert estimate is not None
+            u.append(np.linalg.norm(weights * estimate.u[[estimate.names.index(name) for name in block.names]]))
+            if number == count:
+                before = estimate
+        observed = observe(reduction, rests.rests[: count + 1], block, session.gyro_block, session.site)
+        up = unit_vector(observed.rests.accel[-1:])
+        forecast = gains(before, wanted.group, block, wanted.accel, session.site, up)[0]
+        ratios.append(u[1] / u[0] / forecast)
+    assert np.all(np.abs(np.array(ratios) - 1.0) < 0.1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,10 +12,16 @@ import polars as pl
 import pytest
 
 from tests.support.shared import session
+from tumble.diagnosis.carried_vertical import upside_down
+from tumble.earth import EARTH_RATE
 from tumble.planning.setup import Setup
+from tumble.recording.arrays import session_of_arrays
 from tumble.result.calibration import Calibration
+from tumble.rotation import unit_vector
 from tumble.run.calibrate import calibrate
-from tumble.sensors.parameters import group_name
+from tumble.sensors.parameters import group_name, usual_sizes
+from tumble.simulation.observations import simulate_observations
+from tumble.simulation.scenario import scenario_of
 from tumble.units import DEGREE
 
 RATE = 50.0
@@ -87,3 +94,18 @@ def test_what_a_wrong_latitude_does_to_the_mean_bias_of_the_session_is_predicted
     (times,) = re.findall(r"gyro.bias.* err by up to ([\d.]+) times", found.outcome.reasons[0])
     assert float(times) == pytest.approx(max(map(abs, errors(found, "gyro.bias"))), rel=0.25)
     assert found.outcome.of("gyro.bias").verdict == "not accepted"
+
+
+@pytest.mark.parametrize(("grade", "times", "named"), [("navigation", -1.0, True), ("tactical", -1.0, True),
+                                                       ("mems", -1.7, False)])  # fmt: skip
+def test_up_is_down_only_where_noise_and_g_sensitivity_let_the_earths_rate_tell(
+    grade: str, times: float, named: bool
+) -> None:
+    """Readings may scatter by less than their noise, by chance: MEMS gyros do not see the Earth's rate all the same."""
+    setup, rng = Setup.of(grade=grade, positions=10), np.random.default_rng(1)
+    observations = simulate_observations(scenario_of(setup, rng), rng)
+    up = unit_vector(observations.rests.accel)
+    rests = replace(observations.rests, gyro=times * EARTH_RATE * np.sin(setup.latitude) * up)
+    any_session = session_of_arrays(accel=np.full((9, 3), 5.66), rate=1.0, serial="A")
+    sensitivity = usual_sizes(grade)["gyro.g_sensitivity"]
+    assert bool(upside_down(replace(observations, rests=rests), any_session, sensitivity)) == named

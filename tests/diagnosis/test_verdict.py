@@ -34,9 +34,9 @@ from tumble.diagnosis.projection import (
     projections,
 )
 from tumble.diagnosis.undetermined import parameter_list
-from tumble.diagnosis.verdict import doubtful_gravity, gravity_text, verdict
+from tumble.diagnosis.verdict import gravity_text, verdict
 from tumble.documents import as_json
-from tumble.earth import NORMAL_GRAVITY_U
+from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import linearise
@@ -300,14 +300,33 @@ def test_gravity_that_no_place_has_is_refused_unless_confirmed() -> None:
     assert [name for name in ("accel.bias", "accel.scale", "accel.axis") if not refused.of(name)] == ["accel.scale"]
     assert "+1110 mGal" in refused.reasons[0]
     assert verdict(estimate, wrong, gravity_confirmed=True).accepted
-    doubtful = replace(observations.site, gravity=observations.site.gravity + 0.0031)
-    assert "+310 mGal from normal gravity, more than 300" in doubtful_gravity(doubtful)[0]
-    assert not doubtful_gravity(observations.site)
     assert gravity_text(observations.site).endswith("+0 mGal from normal gravity")  # measured, to 0.01 mGal
     unstated = replace(observations.site, gravity_u=NORMAL_GRAVITY_U)
     assert gravity_text(unstated).endswith("m/s^2, normal gravity assumed, u 31 ppm")
     assert 1e6 * unstated.gravity_u / unstated.gravity == pytest.approx(30.6, abs=0.1)
     assert gravity_text(replace(observations.site, latitude=None)).endswith("m/s^2")
+
+
+def test_stated_gravity_that_few_places_have_or_with_too_few_digits_is_remarked() -> None:
+    """Normal gravity has a standard uncertainty of 30 mGal; 4.1 of these are 123 mGal."""
+    estimate, observations = estimated("none")
+    normal = normal_gravity(observations.site.latitude or 0.0, observations.site.height)
+
+    def found(gravity: float, u: float, *, confirmed: bool = False) -> list[str]:
+        site = replace(observations.site, gravity=gravity, gravity_u=u)
+        outcome = verdict(estimate, replace(observations, site=site), gravity_confirmed=confirmed)
+        return [remark for remark in outcome.accel.remarks if remark.startswith("gravity")]
+
+    assert found(normal + 117e-5, 5e-6) == []
+    (said,) = found(normal - 123e-5, 5e-6)
+    assert "-123 mGal from normal gravity at" in said
+    assert "4.1 times the standard uncertainty of both" in said
+    assert found(normal - 123e-5, 5e-6, confirmed=True) == []
+    assert found(normal - 123e-5, 3e-4) == []
+    typed = round(normal, 3)
+    (said,) = found(typed, 5e-6)
+    assert f"gravity {typed} m/s^2 has a last digit of u 0.0003 m/s^2, more than the stated gravity_u of 5e-06" in said
+    assert found(typed, 3e-4) == found(round(normal, 5), 1e-6) == []
 
 
 def test_a_latitude_that_the_gyros_contradict_is_named() -> None:

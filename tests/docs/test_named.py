@@ -99,6 +99,12 @@ def test_commands_and_options_of_a_page_exist(page: Path) -> None:
     assert alone - EVERYWHERE - FOREIGN == set()
 
 
+def test_commands_and_options_of_the_makefile_exist() -> None:
+    calls = re.findall(r"^\t\$\(BIN\)/(tumble .*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M)
+    assert len(calls) >= 4
+    assert [f"{call}: {fault}" for call in calls for fault in faults(call)] == []
+
+
 def exists(name: str) -> bool:
     """Whether a dotted name is a module of the library or something in one."""
     if hasattr(tumble, name.removeprefix("tumble.")):

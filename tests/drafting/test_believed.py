@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +102,7 @@ def test_six_columns_without_names_of_a_body_that_is_never_at_rest(tmp_path: Pat
         ("t,Raw X Gyro,Raw Y Gyro,Raw Z Gyro", "found gyros alone"),
         ("t,fx_uT,fy_uT,fz_uT", "found a magnetometer alone .*; log the accelerometers in the same rows"),
         ("t,estLinearAccelX,estLinearAccelY,estLinearAccelZ", "found linear acceleration, which a filter has taken"),
+        ("t,LinAccX,LinAccY,LinAccZ", "found linear acceleration, which a filter has taken"),
     ],
 )
 def test_what_names_say_is_no_accelerometer_is_refused(names: str, said: str, tmp_path: Path) -> None:
@@ -109,6 +110,32 @@ def test_what_names_say_is_no_accelerometer_is_refused(names: str, said: str, tm
     log = text(tmp_path / "log.csv", f"{names}\n", np.column_stack([0.1 * np.arange(600), read]))
     with pytest.raises(InputError, match=said):
         new_session(tmp_path / "s", log)
+
+
+def test_of_raw_and_calibrated_readings_the_raw_ones_are_taken(rows: Array, tmp_path: Path) -> None:
+    raw = np.rint(rows[:, 1:] * np.repeat([16384.0, 131.0], 3))
+    names = ",".join(f"{kind}_{what}_{axis}" for what in ("raw", "cal") for kind in ("acc", "gyro") for axis in "xyz")
+    table = np.column_stack([rows[:, 0], raw, rows[:, 1:4] * G_STANDARD, rows[:, 4:7] * DEGREE])
+    new_session(tmp_path / "s", text(tmp_path / "log.csv", f"t,{names}\n", table))
+    found = columns_of(tmp_path / "s")
+    assert [found[kind][0][0] for kind in ("accel", "gyro")] == ["acc_raw_x", "gyro_raw_x"]
+
+
+@pytest.mark.parametrize("sensors", ["rot{}", "fog_{}", "R{}"])
+def test_gyros_whose_names_do_not_tell_them_are_found_by_the_turns(sensors: str, rows: Array, tmp_path: Path) -> None:
+    names = f"t,ax,ay,az,{','.join(sensors.format(axis) for axis in 'XYZ')}\n"
+    new_session(tmp_path / "s", text(tmp_path / "log.csv", names, rows))
+    assert columns_of(tmp_path / "s")["gyro"] == (tuple(sensors.format(axis) for axis in "XYZ"), "deg/s")
+
+
+@pytest.mark.parametrize("other", [lambda a: 30.0 * a[:, [2, 0, 1]], lambda a: np.cumsum(a, axis=0) / 100.0])
+def test_other_columns_beside_accelerometers_are_no_gyros(
+    other: Callable[[Array], Array], rows: Array, tmp_path: Path
+) -> None:
+    """A field, and velocities."""
+    table = np.column_stack([rows[:, :4], other(rows[:, 1:4])])
+    new_session(tmp_path / "s", text(tmp_path / "log.csv", "t,ax,ay,az,some_x,some_y,some_z\n", table))
+    assert read_session(tmp_path / "s").log.gyro is None
 
 
 @pytest.mark.parametrize("command", ["calibrate", "inspect", "noise"])

@@ -16,7 +16,9 @@ from click.testing import CliRunner
 
 from tests.support.shared import session
 from tumble.cli import main
+from tumble.drafting.new_session import new_session
 from tumble.planning.setup import Setup
+from tumble.recording.formats import PX4_CORRECTED
 from tumble.units import DEGREE, G_STANDARD, Array
 
 G, D = 1.0 / G_STANDARD, 1.0 / DEGREE
@@ -274,3 +276,53 @@ def test_from_the_file_to_the_truth(
     off = {p["name"]: (p["value"] - truth[p["name"]]) / p["u"] for p in found if p["name"] in truth}
     assert {"accel.scale.x", "gyro.scale.x"} <= off.keys()
     assert max(map(abs, off.values())) < 5.0, off
+
+
+@pytest.mark.parametrize("names", ["gyro_rad_{}", "gyr{} [rad/s]"])
+def test_gyros_in_degrees_under_names_of_radians_are_refused_with_the_unit_that_fits(
+    device: tuple[Array, dict[str, float]], names: str, tmp_path: Path
+) -> None:
+    """A clock in microseconds stays one: no rate of thousands of hertz is made up for the name."""
+    rows, _ = device
+    header = ",".join(["timestamp", *(f"acc_{a}_m_s2" for a in "xyz"), *(names.format(a) for a in "xyz")])
+    log = table(
+        tmp_path / "log.csv", header, np.rint(1e6 * rows[:, 0] + 4e7), rows[:, 1:4], rows[:, 4:7] * D, digits=12
+    )
+    done = CliRunner().invoke(main, ["calibrate", str(log), *PLACE])
+    assert done.exit_code == 1
+    assert 'the unit of [log.gyro] is not "rad/s", "deg/s" would fit' in done.stderr
+
+
+@pytest.mark.parametrize("name", ["time", "time (us)"])
+def test_a_black_box_with_quotes_and_blanks_is_doubted_for_what_the_board_has_applied(
+    device: tuple[Array, dict[str, float]], name: str, tmp_path: Path
+) -> None:
+    rows, _ = device
+    names = ["loopIteration", name, *(f"{kind}[{i}]" for kind in ("gyroADC", "accSmooth") for i in range(3))]
+    read = np.rint(np.column_stack([rows[:, 4:7] * D, rows[:, 1:4] * 2048.0 * G]))
+    time = np.rint(1e6 * rows[:, 0] + 4e7)
+    header = ", ".join(f'"{each}"' for each in names)
+    log = table(tmp_path / "LOG1.01.csv", header, np.arange(float(len(rows))), time, read, digits=12, delimiter=", ")
+    done = CliRunner().invoke(main, ["calibrate", str(log), *PLACE])
+    assert done.exit_code == 0, done.stderr
+    assert "remark: doubt: accSmooth is what Betaflight has corrected by align_board_*" in done.stdout
+    exported = CliRunner().invoke(
+        main,
+        ["export", str(tmp_path / "LOG1.01-session" / "calibration.json"), "--to", "inav", "-o", str(tmp_path / "i")],
+    )
+    assert exported.exit_code == 0, exported.stderr
+    assert "# doubt: accSmooth" in (tmp_path / "i").read_text(encoding="utf-8")
+
+
+def test_readings_that_px4_has_not_corrected_are_not_doubted(
+    device: tuple[Array, dict[str, float]], tmp_path: Path
+) -> None:
+    rows, _ = device
+    names = ["timestamp", *(f"gyro_rad[{i}]" for i in range(3)), *(f"accelerometer_m_s2[{i}]" for i in range(3))]
+    names += ["accel_calibration_count", "gyro_calibration_count"]
+    for count in (0, 1):
+        counters = np.full((len(rows), 2), count)
+        columns = np.rint(1e6 * rows[:, 0]), rows[:, 4:7], rows[:, 1:4], counters
+        log = table(tmp_path / f"{count}.csv", ",".join(names), *columns, digits=12)
+        draft, _ = new_session(tmp_path / f"s{count}", log)
+        assert draft.doubts == ((PX4_CORRECTED,) if count else ())

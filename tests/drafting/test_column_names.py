@@ -41,6 +41,25 @@ NAMED: dict[str, tuple[list[str], str | None, str | None]] = {
         None,
         None,
     ),
+    "units of rates in words": (axes("acc_{}", "gyr_{}_deg_per_sec"), None, "deg/s"),
+    "units in full": (axes("accel_{} (milli-g)", "gyro_{} (degrees/second)"), "mg", "deg/s"),
+    "MicroStrain by name": (axes("inertial:scaledAccel{}", "inertial:scaledGyro{}", axes="XYZ"), "g", "rad/s"),
+    "MicroStrain by number": (
+        ["X Accel [x8004]", "Y Accel [x8004]", "Z Accel [x8004]", "X Gyro [x8005]", "Y Gyro [x8005]", "Z Gyro [x8005]"],
+        "g",
+        "rad/s",
+    ),
+    "turn rates": (axes("sf_{}", "turnrate_{}"), None, None),
+    "speeds": (axes("dV{}", "AngularSpeed{}"), None, None),
+    "textbooks": (axes("f_ib_b_{}", "ω{}"), None, None),
+    "browsers": (
+        [*axes("acceleration_with_gravity_{}"), "rotationRate.beta", "rotationRate.gamma", "rotationRate.alpha"],
+        None,
+        None,
+    ),
+    "flight in deg/s": (["ax", "ay", "az", "p_dps", "q_dps", "r_dps"], None, "deg/s"),
+    "without biases": (axes("accel {} bias corrected", "unbiased_gyro_{}"), None, None),
+    "a letter behind": (axes("{}_a", "{}_g"), None, None),
     "Spanish": (axes("aceleracion_{}", "giro_{}"), None, None),
     "Portuguese": (axes("Acelerômetro {}", "Giroscópio {}", axes="XYZ"), None, None),
     "German": (axes("Beschl_{}", "Dreh_{}", axes="XYZ"), None, None),
@@ -59,6 +78,8 @@ def test_sensors_are_identified_by_their_names(case: str) -> None:
     ("names", "kinds"),
     [
         (axes("lacc_{}", "gyro_{}"), {GYRO}),
+        (axes("{}_g", axes="XYZ"), {ACCEL}),
+        (axes("gyro_bias_{}"), set()),
         (axes("angular_acceleration_{}"), set()),
         (["ax", "ay", "az", "p", "q"], {ACCEL}),
         (["ax", "ay", "az", "roll_setpoint", "pitch_setpoint", "yaw_setpoint"], {ACCEL}),
@@ -73,7 +94,8 @@ def test_what_names_and_units_say_otherwise_is_no_sensor(names: list[str], kinds
 
 
 def test_of_several_devices_the_first_is_taken() -> None:
-    for first, second in (("imu0_acc_{}", "imu1_acc_{}"), ("a{}1", "a{}2"), ("gyro{}1", "gyro{}2")):
+    pairs = [("imu0_acc_{}", "imu1_acc_{}"), ("a{}1", "a{}2"), ("gyro{}1", "gyro{}2"), ("acc{}_1", "acc{}_2")]
+    for first, second in [*pairs, ("gyro_{}_0", "gyro_{}_1")]:
         found = columns_by_name(axes(first, second))
         (sensors,) = found.triads.values()
         assert sensors.columns == tuple(axes(first))
@@ -92,6 +114,7 @@ def test_of_several_devices_the_first_is_taken() -> None:
         (["field.header.stamp"], "field.header.stamp", None),
         (["server_time", "device_timestamp_ms"], "device_timestamp_ms", "ms"),
         (["%time", "seq", "stamp"], "stamp", None),
+        (["t (milliseconds)"], "t (milliseconds)", "ms"),
         (["elapsed-time-system", "elapsed-time-sensor"], "elapsed-time-system", None),
         (["uptime nav"], "uptime nav", None),
     ],

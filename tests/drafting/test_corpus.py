@@ -565,6 +565,18 @@ def test_the_sign_of_core_motion_is_taken_off(log: pl.DataFrame, tmp_path: Path)
     assert table["time"] == "accelerometerTimestamp_sinceReboot(s)"
     assert table["gyro"]["columns"][0] == "gyroRotationX(rad/s)"
     assert "−1 g where an axis points up" in draft.remarks[-1]
+    plain = (tmp_path / "iphone.csv").read_text(encoding="utf-8").splitlines()
+    with_times = [
+        ",".join([*(c := line.split(","))[:5], c[1].replace("accelerometer", "gyro"), *c[5:8]]) for line in plain
+    ]
+    (tmp_path / "times.csv").write_text("\n".join(with_times) + "\n", encoding="utf-8")
+    draft, _ = new_session(tmp_path / "apart", tmp_path / "times.csv")
+    assert draft.log["accel"]["unit"] == "g"
+    read = (
+        pl.read_parquet(tmp_path / "apart" / "log.parquet").select(draft.log["accel"]["columns"]).to_numpy()
+        * G_STANDARD
+    )
+    np.testing.assert_allclose(read, log.select(d.ACCEL).to_numpy()[: len(read)], atol=0.01)
 
 
 @pytest.mark.parametrize(

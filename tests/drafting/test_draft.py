@@ -11,6 +11,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
+from tests.support.moving import Motion, record
 from tumble.cli import main
 from tumble.planning.setup import Setup
 from tumble.recording.session import USUAL_CLOCK_U, USUAL_RATE_U, Session
@@ -117,6 +118,29 @@ def test_a_log_in_counts_gets_the_scales_of_data_sheets_from_its_rests_and_turns
     assert "4096 counts per g as in data sheets" in said
     assert "no data sheet has a value near it" in said
     assert "look at this" not in said
+
+
+@pytest.mark.parametrize("motion", [Motion(), Motion(sway=0.05, frequency=0.6, rests=4)], ids=["pivot", "hand"])
+def test_a_device_in_motion_shows_the_units_and_columns_of_its_gyros(motion: Motion, tmp_path: Path) -> None:
+    """Between few or no rests the accelerometers read the vertical to within what moves the device."""
+    made = record(motion, 3, rate=100.0)
+    names, readings = named("a", "g"), np.hstack([made.accel, made.gyro])
+    log = pl.DataFrame(readings, schema=names).with_row_index("t").with_columns(pl.col("t") / made.rate)
+    counts = scaled(log, 4096.0 / G_STANDARD, 65.5 / DEGREE).with_columns(pl.col(names).round().cast(pl.Int64))
+    exchanged = log.rename({"gx": "gy", "gy": "gx"}).select("t", *names)
+    for folder in ("counts", "rad", "deg", "exchanged"):
+        (tmp_path / folder).mkdir()
+    session, said = drafted(counts, tmp_path / "counts")
+    assert session.log.gyro is not None
+    np.testing.assert_array_equal(session.log.gyro.scale, 65.5)
+    assert not session.log.doubt
+    for unit, per in (("rad/s", 1.0), ("deg/s", 1.0 / DEGREE)):
+        session, said = drafted(scaled(log, 1.0, per), tmp_path / unit[:3])
+        assert session.log.gyro is not None
+        assert session.log.gyro.unit_name == unit
+        assert not session.log.doubt
+        assert "look at this" not in said
+    assert "only where the gyro columns x and y are exchanged" in drafted(exchanged, tmp_path / "exchanged")[1]
 
 
 def test_counts_of_gyros_without_turns_get_no_scale_and_the_user_is_told(

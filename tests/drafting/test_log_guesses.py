@@ -14,7 +14,7 @@ from tumble.drafting.draft import Draft
 from tumble.drafting.foreign_log import count_samples
 from tumble.drafting.hypotheses import Evidence, length_and_zero, ranked_hypotheses
 from tumble.drafting.new_session import Given, new_session
-from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column
+from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column, times_without_column
 from tumble.errors import InputError, LogError
 from tumble.files import OutputFolder
 from tumble.planning.setup import Setup
@@ -180,11 +180,18 @@ def test_a_counter_starts_anew_only_where_it_can() -> None:
     assert overflow_of(np.array([3.0, 2.0, 1.0])) is None
 
 
+@pytest.mark.parametrize("line", ["# ODR: 62.5 Hz", "odr_hz = 62.5", "Sampling Frequency (Hz),62.5"])
+def test_the_rate_above_the_rows_is_believed(line: str) -> None:
+    assert times_without_column(None, [line]).rate == 62.5
+
+
 def test_clocks_that_are_started_anew_part_a_log() -> None:
     stamps = np.concatenate([68.0 + 0.1 * np.arange(300), 4.5 + 0.1 * np.arange(200)])
     assert recordings_of(stamps) == [(0, 300), (300, 500)]
     assert recordings_of(np.sort(stamps)) is None
     assert recordings_of(np.concatenate([stamps, 1.0 + 0.1 * np.arange(20)])) is None
+    set_late = np.concatenate([500.0 + 0.1 * np.arange(5), stamps])
+    assert recordings_of(set_late) == [(5, 305), (305, 505)]
     late = np.sort(stamps)
     late[100] -= 0.15
     assert recordings_of(late) is None

@@ -45,6 +45,15 @@ def test_each_log_has_a_session_of_its_own_and_finds_it_again(logs: Path) -> Non
     assert (first / "session.toml").read_bytes() == before
 
 
+def test_a_magnetometer_that_waits_in_the_session_is_said(logs: Path) -> None:
+    field = {f"m{axis}": 30.0 - pl.col(f"a{axis}") for axis in "xyz"}
+    pl.read_csv(logs / "flight-1.2.csv").with_columns(**field).write_csv(logs / "mag.csv")
+    folder, said = made(logs / "mag.csv")
+    assert said == (
+        f"kept in {folder / 'session.toml'}, where the magnetometer is a comment: take the # away to calibrate it too"
+    )
+
+
 def test_a_copy_of_a_log_has_the_session_and_the_serial_number_of_the_first(logs: Path) -> None:
     """Where another number is stated, the message says whose session is replaced."""
     first, _ = made(logs / "flight-1.2.csv")

@@ -78,6 +78,9 @@ TABLES: dict[str, tuple[str, float, float, str, str]] = {
     "four of seven named": ("t,ax,ay,az", G, D, "g", "deg/s"),
     "a device above the names": ("A,A,A,A,A,A,A\nt,x,y,z,x,y,z", G, D, "g", "deg/s"),
     "a cut row first": ("12,0.1,0.", G, D, "g", "deg/s"),
+    "a time without a name": ("ax [g],ay [g],az [g],gx [dps],gy [dps],gz [dps]", G, D, "g", "deg/s"),
+    "two lines of names of pandas": (",accel,accel,accel,gyro,gyro,gyro\n,x,y,z,x,y,z\nt,,,,,,", G, D, "g", "deg/s"),
+    "groups with marks behind": ("t,IMU Acc,,,IMU Gyro,,,\n,x,y,z,x,y,z,", G, D, "g", "deg/s"),
 }  # fmt: skip
 
 
@@ -87,6 +90,47 @@ def test_units_and_names_in_many_words(name: str, rows: Array, tmp_path: Path) -
     assert check_read(tmp_path / "s", text(tmp_path / "log.csv", header, scaled(rows, accel, gyro)), rows) == ""
     log = read_session(tmp_path / "s").log
     assert [log.accel.unit_name, log.gyro.unit_name if log.gyro else ""] == units
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        lambda lines: [*SERIAL * 5, *lines],
+        lambda lines: [line.replace("\n", "") + ";" for line in lines],
+        lambda lines: [f"{line}\0" for line in lines],
+        lambda lines: [lines[0], *(f"{500 + k}{',0' * 6}" for k in range(5)), *lines[1:]],
+    ],
+    ids=["boot text", "semicolons", "NULs at the ends", "a clock set late"],
+)
+def test_lines_as_some_boards_write_them(
+    written: Callable[[list[str]], list[str]], rows: Array, tmp_path: Path
+) -> None:
+    lines = text(tmp_path / "log.csv", NAMES, rows).read_text(encoding="utf-8").splitlines()
+    (tmp_path / "log.csv").write_text("\n".join(written(lines)), encoding="utf-8")
+    assert check_read(tmp_path / "s", tmp_path / "log.csv", rows) == ""
+
+
+def test_names_before_the_values_below_boot_text(rows: Array, tmp_path: Path) -> None:
+    lines = [
+        f"t={t:.2f} acc=({a:.4f}, {b:.4f}, {c:.4f}) gyro=({p:.4f}, {q:.4f}, {r:.4f})" for t, a, b, c, p, q, r in rows
+    ]
+    (tmp_path / "log.txt").write_text("\n".join([*SERIAL * 5, *lines]) + "\n", encoding="utf-8")
+    assert check_read(tmp_path / "s", tmp_path / "log.txt", rows) == ""
+
+
+@pytest.mark.parametrize("name", ["delta_ms", "t"])
+def test_a_column_of_intervals_by_its_name_or_its_numbers(name: str, rows: Array, tmp_path: Path) -> None:
+    intervals = np.rint(1e3 * np.diff(rows[:, 0], prepend=0.0)) + np.resize([-1.0, 1.0, 0.0, 0.0, 0.0], len(rows))
+    table = np.column_stack([intervals, rows[:, 1:]])
+    log = text(tmp_path / "log.csv", NAMES.replace("t", name, 1), table)
+    assert check_read(tmp_path / "s", log, rows) == ""
+
+
+def test_a_clock_that_grows_once_is_not_used(rows: Array, tmp_path: Path) -> None:
+    """Seconds since 1970 in single precision."""
+    table = np.column_stack([np.float32(1.7e9 + rows[:, 0]).astype(float), rows[:, 1:]])
+    doubt = check_read(tmp_path / "s", text(tmp_path / "log.csv", NAMES, table), rows)
+    assert "samples per second by the turns" in doubt
 
 
 @pytest.mark.parametrize("names", [NAMES, ""], ids=["names", "no names"])
@@ -365,6 +409,27 @@ def test_numbers_of_rows_are_no_thousandths_of_a_second(tmp_path: Path) -> None:
     draft, _ = new_session(tmp_path / "s", text(tmp_path / "log.csv", NAMES, still))
     assert draft.log["rate_hz"] == 100.0
     assert any("state --sample-rate" in doubt for doubt in draft.doubts)
+
+
+@pytest.mark.parametrize("name", ["Packet number", "sample"])
+def test_a_counter_of_rows_is_no_time(name: str, tmp_path: Path) -> None:
+    still = np.random.default_rng(1).normal(scale=0.01, size=(1000, 6)) + np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0])
+    numbers = np.cumsum(np.random.default_rng(2).choice([1.0, 2.0], size=1000))  # those between are of others
+    log = text(tmp_path / "log.csv", NAMES.replace("t", name, 1), np.column_stack([numbers, still]))
+    draft, _ = new_session(tmp_path / "s", log)
+    assert "time" not in draft.log
+    assert any("state --sample-rate" in doubt for doubt in draft.doubts)
+
+
+def test_motion_about_one_attitude_determines_no_zero_of_accelerometers(tmp_path: Path) -> None:
+    """A robot on a floor, whose stops differ by a little tilt and by its own acceleration."""
+    rng = np.random.default_rng(6)
+    stops = np.array([0.0, 0.0, 10.7]) + rng.normal(scale=[0.25, 0.25, 0.12], size=(14, 3))
+    accel = np.repeat(stops, 200, axis=0) + rng.normal(scale=0.02, size=(2800, 3))
+    gyro = rng.normal(scale=0.005, size=(2800, 3))
+    log = text(tmp_path / "log.csv", NAMES, np.column_stack([0.01 * np.arange(2800), accel, gyro]))
+    new_session(tmp_path / "s", log)
+    assert read_session(tmp_path / "s").log.accel.unit_name == "m/s^2"
 
 
 def test_files_of_a_row_each_are_one_log(rows: Array, tmp_path: Path) -> None:

@@ -382,6 +382,19 @@ def test_the_numbers_are_those_of_the_sensors_that_were_recorded() -> None:
         export_calibration(fourth, "ardupilot-thermal")
 
 
+@pytest.mark.parametrize("to", THERMAL)
+def test_slopes_over_less_than_a_kelvin_are_no_compensation(to: str) -> None:
+    with pytest.raises(
+        InputError, match=r"span at least 1 K, found 0\.7 K, over which a drift in time looks like a sl"
+    ):
+        export_calibration(warmed(calibration(), low=41.3, high=42.0), to)
+    text = " ".join(export_calibration(warmed(calibration(), low=38.0, high=42.0), to).losses)
+    assert "outside 38.0 to 42.0 degC nothing was measured (only 4.0 K: warm it" in text
+    plain = " ".join(export_calibration(warmed(calibration(), low=41.3, high=42.0), to.removesuffix("-thermal")).losses)
+    assert "mg in 0.7 K)" in plain  # and not what the slopes would make of ten
+    assert "in 10 K" not in plain
+
+
 def test_px4_says_what_its_steps_of_one_degree_cost() -> None:
     made = warmed(calibration())
     text = " ".join(export_calibration(made, "px4-thermal").losses)

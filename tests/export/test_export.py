@@ -65,6 +65,8 @@ def test_gyros_that_are_not_known_are_said_to_be_left_as_they_are(to: str) -> No
 
 
 def test_the_first_letters_of_a_target_are_enough_for_a_hint() -> None:
+    with pytest.raises(InputError, match="found 'arduino'; did you mean 'c'"):
+        export_calibration(calibration(), "arduino")
     with pytest.raises(InputError, match="found 'ros'; did you mean 'ros-imu-calib'"):
         target("ros")
 

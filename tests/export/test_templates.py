@@ -55,7 +55,7 @@ def inav(text: str, kind: str, readings: Array) -> Array:
 def betaflight(text: str, kind: str, readings: Array) -> Array:
     """buildRotationMatrix, applyRotationMatrix, which multiplies by the transposed matrix, then accZero."""
     found = dict(re.findall(r"^set (\w+) = (\S+)$", text, re.MULTILINE))
-    x, y, z = (radians(int(found[f"align_board_{name}"])) for name in ("roll", "pitch", "yaw"))
+    x, y, z = (radians(int(found.get(f"align_board_{name}", 0))) for name in ("roll", "pitch", "yaw"))
     m = [
         [cos(z) * cos(y), -cos(y) * sin(z), sin(y)],
         [sin(z) * cos(x) + sin(x) * cos(z) * sin(y), cos(z) * cos(x) - sin(x) * sin(z) * sin(y), -sin(x) * cos(y)],
@@ -244,6 +244,13 @@ def test_betaflight_turns_a_board_that_is_mounted_askew(angle: list[float]) -> N
     true = G_STANDARD * np.random.default_rng(1).standard_normal((50, 3))
     found = betaflight(export_calibration(other, "betaflight").content.decode(), "accel", model.predict(true))
     assert np.abs(found - true).max() < (0.02 + 3 * 0.5 * DEGREE) * np.linalg.norm(true, axis=1).max() + 0.01
+
+
+def test_betaflight_keeps_the_alignment_of_a_board_that_needs_no_turn() -> None:
+    text = export_calibration(calibration(2), "betaflight").content.decode()
+    assert "set align_board" not in text
+    assert text.count("set acc_calibration") == 1
+    assert "after acc_calibration: add" in text
 
 
 def test_counts_are_those_given_else_those_of_the_recording() -> None:

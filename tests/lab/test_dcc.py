@@ -24,7 +24,7 @@ from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.lab.certificate import read_certificate
 from tumble.lab.dcc import d_si
-from tumble.recording.session import Site
+from tumble.recording.session import Circumstances, Site
 from tumble.result.calibration import Calibration, read_calibration
 
 NAMESPACES = {"dcc": "https://ptb.de/dcc", "si": "https://ptb.de/si"}
@@ -103,6 +103,17 @@ def schema() -> Any:
 def test_the_certificate_is_valid_against_the_published_schema(schema: Any, made: Calibration) -> None:
     errors = [str(error.reason) for error in schema.iter_errors(content(made).decode(), use_location_hints=False)]
     assert errors == []
+
+
+def test_traceability_names_standards_and_no_table(tmp_path: Path) -> None:
+    stated = Circumstances(equipment=("turntable T-12", "gravity: gravimeter 7"))
+    made = with_fields(calibration(), circumstances=stated)
+    root = ET.fromstring(export_calibration(made, "dcc", certificate=certificate_file(tmp_path)).content)
+    equipment = root.findall(".//dcc:measuringEquipment", NAMESPACES)
+    assert [each.get("refType") for each in equipment] == [None, "basic_measurementStandard"]
+    traced = root.find(".//dcc:statement[@refType='basic_metrologicallyTraceableToSI']/dcc:declaration", NAMESPACES)
+    assert traced is not None
+    assert "".join(traced.itertext()) == "gravity: point 1234"
 
 
 def test_every_entry_of_the_certificate_file_is_valid(schema: Any, tmp_path: Path) -> None:

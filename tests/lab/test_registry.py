@@ -107,6 +107,7 @@ def test_the_first_check_is_incoming_and_later_ones_are_periodic(registry: Regis
     occasions = [added(registry, log=log).occasion for log in "abc"]
     again = added(registry, occasion="incoming", log="d").occasion
     assert [*occasions, again] == ["incoming", "periodic", "periodic", "incoming"]
+    assert added(registry, log="e", performed=datetime(2001, 1, 1, tzinfo=UTC)).occasion == "incoming"  # the earliest
 
 
 def test_records_of_a_device_are_in_the_order_in_which_they_were_performed(registry: Registry) -> None:

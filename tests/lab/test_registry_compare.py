@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from tests.support.calibrated import calibration, with_fields
 from tests.use.test_compare import of_common_gravity, of_common_time_base
 from tumble.cli import main
+from tumble.lab.registry.records import State
 from tumble.lab.registry.registry import open_registry
 from tumble.lab.registry.trend import Trend
 from tumble.lab.registry.views import change_lines
@@ -59,6 +60,23 @@ def test_a_step_of_40_ppm_under_a_common_error_of_20_ppm_ends_a_trend_with_1(
         ran = CliRunner().invoke(main, words)
         name = "accel.scale.x" if pair is of_common_gravity else "gyro.scale.y"
         assert (ran.exit_code, ran.stderr) == (status, f"changed: {name}\n" if status else "")
+
+
+def test_a_trend_says_which_records_it_compares_and_not_across_an_adjustment(tmp_path: Path) -> None:
+    with open_registry(tmp_path / "r.sqlite", create=True) as registry:
+        states: list[State] = ["unchanged", "as-found", "as-left"]
+        for i, state in enumerate(states):
+            made = calibration()
+            name = made.parameters[0].name
+            moved = (replace(made[name], value=made[name].value + i * (made[name].u or 0.0)), *made.parameters[1:])
+            other = with_fields(replace(made, parameters=moved), log_sha256=f"{i:064x}")
+            registry.add_calibration(other, performed=datetime(2020 + i, 3, 1, tzinfo=UTC), state=state)
+        found = registry.trend("A-0007")
+    assert found.compared == (1, 2)
+    assert found.latest.number == 3
+    assert change_lines(found)[0].startswith(
+        "record 2 against record 1, before the adjustment (record 3 is after it, and is not compared): 0 of 21"
+    )
 
 
 def test_a_trend_finds_what_only_all_parameters_together_show(tmp_path: Path) -> None:

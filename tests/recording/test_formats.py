@@ -309,9 +309,64 @@ def test_every_instance_of_a_flight_log_is_offered_with_what_its_autopilot_did(r
     write_bin(tmp_path / "r.bin", record)
     first, second = messages(tmp_path / "r.bin")
     assert (first.name, second.name) == ("IMU.0", "IMU.1")
-    assert "INS_ACCOFFS" in first.remark
+    assert "INS_ACCOFFS" in first.doubt
     read = pl.concat(second.rows()).select("gyro_y").to_numpy()[:, 0]
     np.testing.assert_allclose(read, record[:, 4] + 1.0, rtol=1e-6, atol=1e-6)
+
+
+def write_dataflash(path: Path, parameters: dict[str, float], force: Array, rate: Array) -> None:
+    """A text log of ArduPilot with parameters and one IMU."""
+    lines = [
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns",
+        "FMT, 69, 60, IMU, QBffffff, TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ",
+        "FMT, 70, 31, PARM, QNf, TimeUS,Name,Value",
+        *(f"PARM, 950000, {name}, {value:.9g}" for name, value in parameters.items()),
+    ]
+    for i, values in enumerate(np.hstack([rate, force])):
+        lines.append(f"IMU, {10**6 + 10**4 * i}, 0, {', '.join(f'{v:.9g}' for v in values)}")
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("orientation", "R"),
+    [
+        (0, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+        (2, [[0, -1, 0], [1, 0, 0], [0, 0, 1]]),  # yaw 90: (x, y, z) becomes (-y, x, z)
+        (10, [[0, 1, 0], [1, 0, 0], [0, 0, -1]]),  # roll 180, yaw 90: (y, x, -z)
+        (28, [[0, 1, 0], [0, 0, -1], [-1, 0, 0]]),  # roll 90, pitch 90: (x, -z, y), then (z, y, -x) of it
+    ],
+)
+def test_what_an_ardupilot_has_applied_and_states_is_undone(
+    orientation: int, R: list[list[int]], tmp_path: Path
+) -> None:
+    """AP_InertialSensor_Backend::_rotate_and_correct_accel and Vector3::rotate, forwards."""
+    rng = np.random.default_rng(3)
+    force, rate = rng.normal(0.0, 9.8, (60, 3)), rng.normal(0.0, 1.0, (60, 3))
+    offset, scale, bias = np.array([0.1, -0.05, 0.2]), np.array([1.002, 0.999, 1.004]), np.array([0.01, 0.0, -0.02])
+    stated = {f"INS_{name}_{axis}": v for name, values in (("ACCOFFS", offset), ("ACCSCAL", scale), ("GYROFFS", bias))
+              for axis, v in zip("XYZ", values.tolist(), strict=True)}  # fmt: skip
+    turned = np.array(R)
+    logged = ((force - offset) * scale) @ turned.T, (rate - bias) @ turned.T
+    write_dataflash(tmp_path / "1.log", stated | {"AHRS_ORIENTATION": orientation}, *logged)
+    (message,) = messages(tmp_path / "1.log")
+    read = pl.concat(message.rows())
+    np.testing.assert_allclose(read.select("accel_x", "accel_y", "accel_z").to_numpy(), force, rtol=0.0, atol=1e-6)
+    np.testing.assert_allclose(read.select("gyro_x", "gyro_y", "gyro_z").to_numpy(), rate, rtol=0.0, atol=1e-7)
+    assert message.remark.startswith("undone: what ArduPilot had applied, INS_ACCOFFS 0.1 -0.05 0.2")
+    assert ("AHRS_ORIENTATION" in message.remark) == (orientation != 0)
+    assert message.doubt == ""
+
+
+def test_parameters_of_an_ardupilot_that_change_nothing_are_not_said(tmp_path: Path) -> None:
+    names = [f"INS_{name}_{axis}" for name in ("ACCOFFS", "ACCSCAL", "GYROFFS") for axis in "XYZ"]
+    stated = {name: float("SCAL" in name) for name in names}
+    write_dataflash(tmp_path / "1.log", stated, np.ones((60, 3)), np.ones((60, 3)))
+    (message,) = messages(tmp_path / "1.log")
+    assert (message.remark, message.doubt) == ("", "")
+    write_dataflash(tmp_path / "2.log", stated | {"INS_TCAL1_ENABLE": 1}, np.ones((60, 3)), np.ones((60, 3)))
+    assert "INS_TCAL1_ENABLE" in messages(tmp_path / "2.log")[0].doubt
+    write_dataflash(tmp_path / "3.log", stated | {"AHRS_ORIENTATION": 101}, np.ones((60, 3)), np.ones((60, 3)))
+    assert "an export is wrong unless" in messages(tmp_path / "3.log")[0].doubt
 
 
 def temperature_of(path: Path) -> tuple[str | None, Array]:
@@ -468,6 +523,12 @@ def test_topics_with_the_temperatures_of_each_kind_of_sensors_are_both_taken(at_
     log = pl.read_parquet(tmp_path / "session" / "log.parquet")
     np.testing.assert_allclose(log.select("accel_temperature", "gyro_temperature").to_numpy(), [[20.0, 40.0]] * 3000)
     assert "other thermometers, not used: /imu/temperature" in draft.remarks
+
+
+def test_a_binary_file_of_another_logger_is_no_damaged_flight_log(tmp_path: Path) -> None:
+    (tmp_path / "pod.bin").write_bytes(np.random.default_rng(3).integers(0, 160, size=20_000, dtype=np.uint8).tobytes())
+    with pytest.raises(InputError, match=r"pod.bin: expected a log of ArduPilot, .*; export its readings as CSV"):
+        messages(tmp_path / "pod.bin")
 
 
 def test_an_array_of_four_is_a_time_and_three_sensors(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from tumble.cli import main
 from tumble.earth import EARTH_RATE
 from tumble.errors import CalibrationError
 from tumble.result.calibration import Calibration
+from tumble.result.parts import coverage_factor
 from tumble.result.shared_errors import prior_sensitivities
 from tumble.result.uncertainty_budget import shares_by_group, shares_of_priors
 from tumble.run.calibrate import Method
@@ -116,6 +117,10 @@ def test_of_launches(tmp_path: Path, terms: Terms) -> None:
     assert by_name["launches"].dof == 2.0
     between = by_name["launches"].contributions
     assert between
+    for parameter in mean.parameters:  # u of the line is s/√3, from which U is at least t(2) u
+        (line,) = (line for line in mean.uncertainty_budget(parameter.name) if line.name == "launches")
+        assert line.u == pytest.approx((parameter.run_to_run or 0.0) / np.sqrt(3.0))
+        assert (parameter.k or np.inf) * (parameter.u or 0.0) >= 0.9999 * coverage_factor(2.0) * (line.u or 0.0)
     assert set(between) < {p.name for p in mean.parameters}, "of others launches differ by less than they know"
 
 

@@ -381,4 +381,4 @@ def test_a_check_that_nothing_explains_says_so_first_and_blames_the_turns(hand: 
     assert found.rests_agree
     (said,) = found.reasons
     assert said.startswith("no change of biases, scale factors or axes explains the session, so that it says nothing")
-    assert "the turns are to blame" in said
+    assert "its turns, or gyros that drift between rests, do not" in said

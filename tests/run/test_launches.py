@@ -22,6 +22,8 @@ from tumble.run.calibrate import calibrate
 from tumble.run.launches import LaunchRun, mean_of_launches
 from tumble.sensors.parameters import group_name
 from tumble.simulation.session import simulate_session
+from tumble.use.check import check_calibration
+from tumble.use.positions import fits_of
 
 REQUEST = Setup.of(rest=10.0, sample_rate=50.0)
 
@@ -69,6 +71,31 @@ def test_the_uncertainty_of_gravity_does_not_average_out(runs: list[LaunchRun]) 
         u = mean[f"accel.scale.{axis}"].u
         assert u is not None
         assert u == pytest.approx(1e-3 / runs[0].session.site.gravity, rel=0.02)
+
+
+def test_another_device_under_the_same_serial_number_is_remarked_first(runs: list[LaunchRun], tmp_path: Path) -> None:
+    other = read_session(simulate_session(tmp_path / "other", REQUEST, seed=12))
+    other = replace(other, device=replace(other.device, serial=runs[0].session.device.serial))
+    found = mean_of_launches([runs[0], LaunchRun(session=other, calibration=calibrate(other, terms="linear"))])
+    assert found.outcome.accepted
+    first = found.outcome.remarks[0]
+    assert first.startswith("the launches differ by more than power-ons and noise of one device: ")
+    assert "another device under this serial number, or it was changed" in first
+    assert not any("the launches differ" in remark for remark in mean_of_launches(runs).outcome.remarks)
+
+
+def test_a_table_of_positions_is_checked_with_the_rests_and_scatter_of_all_launches(
+    runs: list[LaunchRun], tmp_path: Path
+) -> None:
+    mean, fits = mean_of_launches(runs), [run.calibration.evidence.fits["accelerometers"] for run in runs]
+    pooled = fits_of(mean)["accelerometers"]
+    assert pooled.degrees == pytest.approx(sum(fit.degrees for fit in fits))
+    assert pooled.scatter == pytest.approx(np.sqrt(np.mean([fit.scatter**2 for fit in fits])))
+    rests = runs[0].calibration.evidence.rests[:5]
+    rows = [",".join(map(repr, rest.accel.mean)) for rest in rests if rest.accel is not None]
+    table = tmp_path / "positions.csv"
+    table.write_text("\n".join(["ax,ay,az", *rows, ""]))
+    assert len(check_calibration(mean, table).rests) == 5
 
 
 def test_launches_of_another_device_or_the_same_log_twice_are_refused(runs: list[LaunchRun], tmp_path: Path) -> None:

@@ -12,8 +12,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from tests.methods.test_ellipsoid import FOURTEEN, THETA, B, K, cube, placed, readings
+from tests.support.exports import CERTIFICATE
 from tumble.cli import main
 from tumble.errors import InputError
+from tumble.export import export_calibration
 from tumble.methods.ellipsoid_fit import TRIAD
 from tumble.result.calibration import read_calibration
 from tumble.run.from_readings import REST_GROUPS, calibrate_readings, paper_form
@@ -130,6 +132,18 @@ def test_without_a_serial_number_the_device_is_called_as_the_table(tmp_path: Pat
     path = written(tmp_path, volts(noise=1.5e-5), name="B-0042.csv")
     assert run(path, "--scale", NEGATIVE).exit_code == 0
     assert read_calibration(path.with_suffix(".calibration.json")).serial == "B-0042"
+
+
+def test_a_table_has_a_budget_and_no_certificate_without_a_serial_number(tmp_path: Path) -> None:
+    path = written(tmp_path, volts(noise=1.5e-5))
+    made = calibrate_readings(path, scale=[-2.4], gravity=9.81, gravity_u=1e-5, grade="mems").calibration
+    for parameter in made.parameters:
+        assert sum(line.share for line in made.uncertainty_budget(parameter.name)) == pytest.approx(1.0, abs=1e-9)
+    assert {line.basis for line in made.evidence.budget if line.name.startswith("prior")} == {"stated grade mems"}
+    with pytest.raises(
+        InputError, match="certificate: expected the serial number of the device, found 'readings', the name"
+    ):
+        export_calibration(made, "dcc", certificate=CERTIFICATE)
 
 
 def test_an_empty_serial_number_is_refused(tmp_path: Path) -> None:

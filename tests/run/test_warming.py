@@ -198,6 +198,17 @@ def test_readings_interpolated_between_whole_degrees_are_no_levels() -> None:
     assert np.abs(curve_through(time, level, seconds, read) - true).max() < 0.2
 
 
+def test_readings_that_change_too_fast_to_repeat_are_levels() -> None:
+    """A chip of fine resolution that warms by more than a step between readings at first, and hardly later."""
+    seconds = np.arange(0.0, 1200.0, 0.1)
+    true = 350.0 - 50.0 * np.exp(-seconds / 150.0)
+    for step in (0.02, 1.0 / 132.48):
+        read = np.round(np.round(true / step) * step, 4)
+        time, level = level_crossings(seconds, read)
+        assert time[0] < 1.0
+        assert np.abs(curve_through(time, level, seconds, read) - true).max() < step
+
+
 @pytest.mark.parametrize("seed", [21, 22])
 def test_u_holds_where_the_thermometer_reads_whole_degrees(seed: int) -> None:
     """Between two of its readings a record at whole seconds has values that are none: levels were seen that were not

@@ -21,6 +21,8 @@ EARTH_RATE = 7.292115e-5
 STEPS = 10
 """Steps a sample."""
 UP = np.array([0.0, 1.0, 0.0])
+STEP_ASIDE = np.array([0.1, 0.0, -0.1])
+"""Way from one place at which `lay` puts a device down to the next, m."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +42,8 @@ class Motion:
     `lever`, m, from a pivot that sways, or in a hand that does, by `sway` m (root mean square of the distance) of
     harmonics about `frequency` Hz; `rests` of 3 s are spread over it, in which it lies still, or, held in the hand,
     trembles by `tremor` rad/s and sways by `held` m of harmonics five times as fast (root mean squares). `follows` m is
-    the vertical displacement proportional to (up · x)², by which a stand sags; `drift` m/s a uniform motion; `regrip` m
+    the vertical displacement proportional to (up · x)², by which a stand sags, `bends` m that of an arm along x, whose
+    end gives way to the weight across it; `drift` m/s a uniform motion; `regrip` m
     a step of the place in the middle, over a second."""
 
     seconds: float = 120.0
@@ -53,6 +56,7 @@ class Motion:
     tremor: float = 0.0
     held: float = 0.0
     follows: float = 0.0
+    bends: float = 0.0
     drift: Sequence[float] = (0.0, 0.0, 0.0)
     regrip: float = 0.0
 
@@ -103,8 +107,52 @@ def record(
     position += np.outer(t, motion.drift)
     up_x = C[:, 1, 0]
     position += motion.follows * (up_x**2)[:, None] * UP
+    position -= motion.bends * (UP - C[:, :, 0] * up_x[:, None])
     position += motion.regrip * _smooth(t - 0.5 * motion.seconds)[:, None] * np.array([0.6, 0.0, 0.8])
-    own = np.random.default_rng((seed, 2))
+    return _read(omega, position, C, (rng, np.random.default_rng((seed, 2))), rate, noise, errors, further, latitude)
+
+
+def lay(
+    ups: Array, seed: int, *, tilt: float = np.radians(1.0), lift: float = 0.15,
+    rest: tuple[float, float] = (6.0, 12.0), move: tuple[float, float] = (2.5, 6.0), further: float = 1.0,
+) -> Recording:  # fmt: skip
+    """A recording of an instrument that is laid by hand from one face to the next, up along `ups` (R, 3) in the body
+    but for `tilt` rad, in any heading. It rests for `rest` s; in between, within `move` s, it is lifted by about `lift`
+    m, turned by an unsteady hand, and put down a decimetre away."""
+    rng, rate = np.random.default_rng((seed, 3)), 200.0
+    h = 1.0 / (rate * STEPS)
+    attitudes, places, at, where = [], [], Rotation.identity(), np.zeros(3)
+    for k, up in enumerate(ups):
+        level = Rotation.align_vectors([UP], [up])[0]
+        tilted = Rotation.from_rotvec(tilt * rng.normal(size=3) * [1.0, 0.0, 1.0]) * level
+        then, there = Rotation.from_rotvec(rng.uniform(-np.pi, np.pi) * UP) * tilted, where + STEP_ASIDE
+        if k:
+            x = np.linspace(0.0, 1.0, STEPS * int(rng.uniform(*move) * rate))
+            unsteady = 0.12 * rng.normal(size=3) * np.sin(np.pi * rng.integers(1, 4, 3) * x[:, None]) ** 2
+            turned = Rotation.from_rotvec(_smooth(x)[:, None] * (at.inv() * then).as_rotvec())
+            attitudes.append(at * turned * Rotation.from_rotvec(unsteady))
+            up_and_down = lift * rng.uniform(0.7, 1.3) * _smooth(2.0 * np.minimum(x, 1.0 - x))
+            places.append(where + _smooth(x)[:, None] * (there - where) + up_and_down[:, None] * UP)
+        n = STEPS * int(rng.uniform(*rest) * rate)
+        attitudes.append(Rotation.from_quat(np.tile(then.as_quat(), (n, 1))))
+        places.append(np.tile(there, (n, 1)))
+        at, where = then, there
+    path, position = Rotation.concatenate(attitudes), np.concatenate(places)
+    n = (len(position) - 1) // STEPS * STEPS
+    omega = (path[:n].inv() * path[1 : n + 1]).as_rotvec() / h
+    C = (path[:n] * Rotation.from_rotvec(0.5 * h * omega)).as_matrix()
+    middle = 0.5 * (position[:n] + position[1 : n + 1])
+    return _read(omega, middle, C, (rng, np.random.default_rng((seed, 4))), rate, Noise(), 1.0, further, None)
+
+
+def _read(
+    omega: Array, position: Array, C: Array, draws: tuple[np.random.Generator, np.random.Generator], rate: float,
+    noise: Noise, errors: float, further: float, latitude: float | None,
+) -> Recording:  # fmt: skip
+    """Readings of an instrument on a path of steps: rates (S, 3) in the body, positions (S, 3), attitudes (S, 3, 3)."""
+    rng, own = draws
+    h, n = 1.0 / (rate * STEPS), len(omega) // STEPS
+    t = np.asarray((np.arange(len(omega)) + 0.5) * h)
     places = own.normal(0, 5e-3 * further, (3, 3)) * [[1.0], [1.0], [0.0]]
     delays = 5e-3 * further * own.normal() + own.normal(0, 3e-4 * further, 3) * [1.0, 1.0, 0.0]
 

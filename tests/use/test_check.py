@@ -10,6 +10,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 from scipy import stats
@@ -24,6 +25,7 @@ from tumble.inference.joint import joint
 from tumble.methods.field_check import CHANCE, CheckResult, field_check
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
+from tumble.recording.session_file import read_session
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.launch_variances import LaunchVariances, launch_variances
@@ -209,6 +211,31 @@ def test_a_session_is_checked(folder: Path) -> None:
     assert data["largest"] == pytest.approx(largest)
     assert data["largest"] < data["limit"]
     assert max(abs(rest["sigmas"]) for rest in data["rests"]) < data["rest_limit"]
+
+
+def test_a_log_is_checked_as_the_session_that_is_made_of_it(folder: Path, tmp_path: Path) -> None:
+    made, log = folder / "calibration.json", tmp_path / "field.csv"
+    pl.read_parquet(folder / "again" / "log.parquet").write_csv(log)
+    done = run("check", made, log)
+    assert done.exit_code == 0, done.stderr
+    assert "4 rests and 3 turns\n" in done.stdout
+    assert (tmp_path / "field-session" / "session.toml").exists()
+    described, stated = (read_session(path) for path in (tmp_path / "field-session", folder / "again"))
+    assert described.device.serial == stated.device.serial
+    assert described.site.latitude == pytest.approx(stated.site.latitude)
+
+
+def test_a_long_table_shows_its_worst_positions_and_no_more_than_ten_sentences(folder: Path, tmp_path: Path) -> None:
+    made, rng = folder / "calibration.json", np.random.default_rng(2)
+    up = rng.normal(size=(60, 3))
+    up *= 10.3 / np.linalg.norm(up, axis=1)[:, None]
+    pl.DataFrame(up, schema=["ax", "ay", "az"]).write_csv(tmp_path / "positions.csv")
+    done = run("check", made, tmp_path / "positions.csv")
+    assert done.exit_code == 1
+    assert "\nand 50 others with smaller ratios\n" in done.stdout
+    assert done.stdout.count("(line ") == 10
+    assert done.stderr.count("changed: position") == 10
+    assert "changed: and 50 more" in done.stderr
 
 
 def test_a_changed_calibration_ends_with_one(folder: Path) -> None:

@@ -210,6 +210,8 @@ def test_the_values_as_found_stand_beside_those_as_left(made: Path) -> None:
     left, found = (float(rows[0][column].replace("−", "-")) for column in ("value", "as found"))
     assert found - left == pytest.approx(0.01 / 9.80665e-3, rel=0.01)  # mg
     assert rows[1]["as found"] == rows[1]["value"]
+    assert rows[1]["U as found"] == rows[1]["U (95 %)"]
+    assert "As found: recorded 2025-03-02, method scalar; accepted, periodic check: fail: " in page.whole
     assert (rows[0]["k"], rows[0]["ν"]) == ("2.00", "∞")
     (judged,) = page.table("parameter", "low", "value", "high", "verdict")
     assert (judged["parameter"], judged["verdict"]) == (rows[0]["parameter"], "conditional pass")
@@ -253,6 +255,7 @@ def test_a_number_cannot_leave_its_place_in_the_style_of_the_page(tmp_path: Path
             "begin: expected a day not before received, 2025-03-05, f",
         ),
         (("issued = 2025-03-07", "issued = 2025-03-03"), "issued: expected a day not before end, 2025-03-04, found"),
+        (("issued = 2025-03-07", "issued = 2999-03-07"), "issued: expected a day that is not in the future, found"),
         (('state = "as', 'begin = 2025-03-05\nstate = "as'), "end: expected a day not before begin, 2025-03-05, found"),
         (
             ('state = "as', 'begin = 2025-03-05\nend = 2025-03-06\nstate = "as'),

@@ -139,7 +139,7 @@ def test_the_front_says_which_device_where_and_how(page: Page, content: Any) -> 
     site = content["site"]
     for said in (
         content["device"]["serial"],
-        f"{site['latitude'] / DEGREE:.5f}°",
+        f"{site['latitude'] / DEGREE:.8g}°",
         f"{site['gravity']:.7f} m/s², U = {significant(2.0 * site['gravity_u'], 2)} m/s² (k = 2)",
         "rough-table",
         "joint, frame “accelerometer”",
@@ -358,7 +358,7 @@ def hostile(content: Any) -> None:
 def hostile_html(content: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("hostile")
     reasons = write_report([changed(content, folder, hostile)], folder / "report.html")
-    assert reasons == [f"changed.json: {SCRIPT}", f"changed.json: {MARKUP}"]
+    assert reasons == [f"not accepted: changed.json: {SCRIPT}", f"not accepted: changed.json: {MARKUP}"]
     return folder / "report.html"
 
 

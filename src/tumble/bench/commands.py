@@ -23,6 +23,7 @@ from tumble.commands import console, params
 )
 @params.option("--serial", "Serial number of the device, for a new SESSION.", metavar="NUMBER")
 @params.LATITUDE
+@params.HEIGHT
 @params.GRAVITY
 @params.programme("Programme of a new SESSION; default: free positions.")
 @params.WANT
@@ -34,6 +35,7 @@ def bench(
     session: Path,
     listen: str | None,
     latitude: float | None,
+    height: float | None,
     gravity: float | None,
     place: str | None,
     host: str,
@@ -48,7 +50,7 @@ def bench(
     from tumble.bench.station import station_of
     from tumble.bench.web.serve import serve
 
-    given = {"latitude_deg": latitude, "gravity": gravity}
+    given = {"latitude_deg": latitude, "height_m": height, "gravity": gravity}
     site = {key: value for key, value in given.items() if value is not None}
     station = partial(station_of, session, listen, site=site, registry=place, **options)
     serve(station, folder=session, host=host, port=port, say=console.warn)

@@ -43,8 +43,8 @@ class EstimateShown(TypedDict):
     """The estimate from the rests so far.
 
     It has groups of parameters, residuals of the rests (σ, µg), the fraction of u that a further rest in each of 26
-    directions would leave (`gains`), the best direction (`next`), the likely `cause` of a misfit, the number of
-    unknowns, and the processor time, s."""
+    directions would leave (`gains`), the best direction (`next`), the likely `cause` of a misfit or of a wanted u that
+    no rest will reach, the number of unknowns, and the processor time, s."""
 
     rests: int
     groups: list[GroupShown]

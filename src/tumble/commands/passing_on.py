@@ -43,7 +43,7 @@ def report(calibrations: tuple[Path, ...], out: Path, limits: Path | None, certi
         write = partial(found, **{kind: file})
     reasons = write(calibrations, out)
     console.say(f"written to {out}")
-    console.end(reasons, "not accepted: ")
+    console.end(reasons)
 
 
 class _ExportCommand(click.Command):
@@ -99,6 +99,7 @@ def export(calibration: Path, to: str | None, template: Path | None, out: Path, 
     """Write CALIBRATION, a calibration file, in the format of another program.
 
     What the format cannot hold is listed on standard error, and in comments of the file if it has comments.
+    Exit status 1 if a certificate in it states that not everything passes.
     """
     from tumble.export import export_calibration
     from tumble.files import whole_file
@@ -111,3 +112,4 @@ def export(calibration: Path, to: str | None, template: Path | None, out: Path, 
     console.say(f"written to {out}")
     for loss in exported.losses:
         console.say(f"note: {loss}")
+    console.end(exported.reasons)

@@ -50,6 +50,10 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
         console.answer(f"doubt: {'; '.join(draft.doubts)}")
 
 
+_SAID = re.compile(r"^undone: |\(--message takes another\)$")
+"""Notes on a recording that are always printed."""
+
+
 @contextmanager
 def session_folders(
     recordings: Sequence[Path], options: dict[str, Any], *, every: bool = False
@@ -57,9 +61,10 @@ def session_folders(
     """Yield the folders of sessions; a session made from a log is removed if the block fails.
 
     A log is a file other than session.toml, a folder without one, or anything given with `options` of `params.LOG`.
-    With `every`, notes on how each part of the session was determined are printed."""
+    With `every`, notes on how each part of the session was determined are printed, otherwise only those on other
+    sensors in the recording and on corrections of it."""
     first, stated = recordings[0], any(value is not None for value in options.values())
-    if not stated and (len(recordings) > 1 or not _is_log(first)):
+    if not stated and (len(recordings) > 1 or not is_log(first)):
         yield recordings
         return
     if len(recordings) > 1 or (first.is_dir() and (first / "session.toml").exists()) or first.suffix == ".toml":
@@ -70,8 +75,9 @@ def session_folders(
     from tumble.drafting.made_session import session_of_log
 
     with session_of_log(first, params.given_of(options), console.with_progress) as (folder, state, sentences, faults):
-        for sentence in sentences if every else ():
-            console.say(sentence)
+        for sentence in sentences:
+            if every or _SAID.search(sentence):
+                console.say(sentence)
         for fault in faults:
             console.warn(f"look at this: {fault}")
         console.say(state)
@@ -85,14 +91,14 @@ def check_recordings(recordings: Sequence[Path]) -> None:
             with path.open("rb") as file:
                 if re.match(rb'\s*\{\s*"format"', file.read(100)):
                     raise InputError(f"{path}: expected a session or a log, found a calibration file")
-    if len(recordings) > 1 and (log := next(filter(_is_log, recordings), None)) is not None:
+    if len(recordings) > 1 and (log := next(filter(is_log, recordings), None)) is not None:
         raise InputError(
             f"{log}: expected one log, or sessions, found a log among {len(recordings)} arguments; positions of one "
             "recording: `tumble calibrate 'PATTERN'`, in quotes, or `tumble new SESSION FILE …`; else a session of each"
         )
 
 
-def _is_log(path: Path) -> bool:
+def is_log(path: Path) -> bool:
     """Return True for the path of a log, a pattern of files, or a folder of files without a session.toml."""
     if path.is_dir():
         return not (path / "session.toml").exists() and any(each.is_file() for each in path.iterdir())

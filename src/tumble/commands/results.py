@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from tumble.commands import console, params
+from tumble.commands.recordings import is_log, session_folders
 from tumble.errors import InputError
+from tumble.units import DEGREE
 
 if TYPE_CHECKING:
     from tumble.result.launch_variances import LaunchVariances
@@ -33,8 +36,9 @@ def check(
 ) -> None:
     """Test whether CALIBRATION still holds for its device, and what has changed.
 
-    READINGS are a session with three or more rests in any attitude, or a table of readings at rest. Each rest is
-    compared with gravity, and the rests and turns of a session test every parameter.
+    READINGS are a session or a log with three or more rests in any attitude, or a table of readings at rest. Each rest
+    is compared with gravity, and the rests and turns of a session test every parameter. A session is made beside a log,
+    as `tumble calibrate` does, with serial number and place of the calibration.
 
     A stream is checked rest by rest until it ends or is stopped with Ctrl-C. The file CALIBRATION is never changed.
 
@@ -42,9 +46,10 @@ def check(
     """
     from tumble.documents import as_json
     from tumble.recording.session_file import read_session
+    from tumble.run.readings_table import is_table
     from tumble.use.check import check_calibration
     from tumble.use.stream import check_stream
-    from tumble.views.checks import check_blocks
+    from tumble.views.checks import MOST_SHOWN, check_blocks
 
     if (readings is None) == (listen is None):
         raise InputError("check: expected READINGS or --listen SOURCE, found both or none of them")
@@ -55,10 +60,13 @@ def check(
     if listen is None:
         assert readings is not None
         launches: tuple[LaunchVariances, ...] = ()
-        if registry is not None:
-            with params.opened(registry) as opened:
-                launches = opened.launches(read_session(readings).device.serial)
-        found = check_calibration(calibration, readings, launches=launches)
+        of_log = is_log(readings) and not is_table(readings)
+        described = session_folders([readings], _stated(calibration)) if of_log else nullcontext([readings])
+        with described as (checked,):
+            if registry is not None:
+                with params.opened(registry) as opened:
+                    launches = opened.launches(read_session(checked).device.serial)
+            found = check_calibration(calibration, checked, launches=launches)
     else:
         found = check_stream(calibration, listen, session=session, show=_show)
     if console.as_json() and listen is not None:
@@ -67,7 +75,19 @@ def check(
         console.show(found, lambda: check_blocks(found, rests=listen is None))
     for note in found.notes:
         console.say(f"note: {note}")
-    console.end(found.reasons, "changed: ")
+    more = len(found.reasons) - MOST_SHOWN
+    console.end([*found.reasons[:MOST_SHOWN], *([f"and {more} more"] if more > 0 else [])], "changed: ")
+
+
+def _stated(calibration: Path) -> dict[str, Any]:
+    """Return serial number and place of a calibration as options for a log."""
+    from tumble.result.calibration import read_calibration
+
+    made = read_calibration(calibration)
+    site = made.provenance.site
+    latitude = None if site is None or site.latitude is None else site.latitude / DEGREE
+    height = None if site is None or latitude is None or site.assumed == "height" else site.height
+    return {"serial": made.serial, "latitude": latitude, "height": height, "accel": None, "gyro": None}
 
 
 def _show(event: Event) -> None:

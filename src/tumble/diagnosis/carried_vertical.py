@@ -40,7 +40,7 @@ UPRIGHT = 20.0 * DEGREE  # largest angle between a rest and its position of the 
 _SIGN = "an accelerometer at rest with its axis up must read +g"
 
 
-def vertical_faults(observations: Observations, session: Session, rate: float) -> list[str]:
+def vertical_faults(observations: Observations, session: Session, rate: float, g_sensitivity: float) -> list[str]:
     """Return why nominal gyros do not carry the vertical from rest to rest, or why up is down.
 
     Parameters
@@ -51,6 +51,8 @@ def vertical_faults(observations: Observations, session: Session, rate: float) -
         The session, with the stated units and columns.
     rate
         Samples per second.
+    g_sensitivity
+        Usual g-sensitivity of the gyros, rad·s/m.
 
     Returns
     -------
@@ -59,7 +61,7 @@ def vertical_faults(observations: Observations, session: Session, rate: float) -
     """
     turns, block, channels = observations.turns, observations.gyro_block, session.log.gyro
     if turns is None or block is None or channels is None or len(turns) == 0:
-        return upside_down(observations, session)
+        return upside_down(observations, session, g_sensitivity)
     stated = SensorModel(matrix=block.nominal().matrix, bias=np.median(observations.rests.gyro, axis=0))
     force = observations.accel_block.nominal().apply(observations.rests.accel)
     vertical = unit_vector(force)
@@ -67,7 +69,7 @@ def vertical_faults(observations: Observations, session: Session, rate: float) -
     if miss.max() < LARGEST_MISS:
         if (largest := float(np.abs(stated.bias).max())) > BIAS_LIMIT:
             return [f"the gyros read {largest:.3g} rad/s at rest, as no gyro does: the offset of [log.gyro] is wrong"]
-        return upside_down(observations, session)
+        return upside_down(observations, session, g_sensitivity)
     # an accelerometer bias of half a g moves a vertical by 30°; if this explains the angles, verticals are taken about
     # the centre of all readings
     about_centre = rough_directions(force)
@@ -100,7 +102,7 @@ def vertical_faults(observations: Observations, session: Session, rate: float) -
             f"{miss[k] / DEGREE:.0f}°; look there for damaged or lost samples, or leave it out: [[exclude]] turn = "
             f"{int(turns.first[k]) + 1}"
             for k in np.flatnonzero(per_half_turn >= LARGEST_MISS)
-        ] or upside_down(observations, session)
+        ] or upside_down(observations, session, g_sensitivity)
     return [
         f"{missed}, and no other unit, scale, sign or order of columns explains it: check the columns, the unit "
         "and [log.gyro] axes"
@@ -177,7 +179,7 @@ def _missed_angles(observations: Observations, gyro: SensorModel, vertical: Arra
 # -------------------- up and down --------------------
 
 
-def upside_down(observations: Observations, session: Session) -> list[str]:
+def upside_down(observations: Observations, session: Session, g_sensitivity: float) -> list[str]:
     """Return a fault if all accelerometers have the wrong sign, by the programme or the vertical Earth's rate."""
     vertical = unit_vector(observations.accel_block.nominal().apply(observations.rests.accel))
     if session.programme is not None:
@@ -186,7 +188,7 @@ def upside_down(observations: Observations, session: Session) -> list[str]:
         comparable = listed.ordered and len(expected) == len(vertical)
         if comparable and np.all(np.einsum("ij,ij->i", vertical, expected) < -np.cos(UPRIGHT)):
             return [f"all accelerometers have the wrong sign: every rest is the programme's upside down; {_SIGN}"]
-    if _earth_reversed(observations, vertical):
+    if _earth_reversed(observations, vertical, g_sensitivity):
         return [
             "the gyros see the vertical part of the Earth's rate with the wrong sign: all accelerometers have the "
             f"wrong sign, or site.latitude_deg has; {_SIGN}, and latitudes are positive in the north"
@@ -194,18 +196,24 @@ def upside_down(observations: Observations, session: Session) -> list[str]:
     return []
 
 
-def _earth_reversed(observations: Observations, vertical: Array) -> bool:
+def _earth_reversed(observations: Observations, vertical: Array, g_sensitivity: float) -> bool:
     """Return True if a fit of û·ω = û·bias + s Ω sin B at rest gives s = −1 and excludes +1.
 
-    The horizontal Earth's rate does not affect it; for low-grade gyros it is lost in noise and g-sensitivity."""
-    block, latitude = observations.gyro_block, observations.site.latitude
-    if block is None or latitude is None or len(vertical) < 6:
+    The horizontal Earth's rate does not affect it. The g-sensitivity G adds ûᵀG û: its trace changes s, by g/√3 for
+    elements of size g, and the rest scatters by g √(2/3). g is the usual size, or that of the scatter beyond the noise
+    if this is larger."""
+    block, rests, site = observations.gyro_block, observations.rests, observations.site
+    if block is None or site.latitude is None or len(vertical) < 6:
         return False
-    rate = np.einsum("ij,ij->i", block.nominal().apply(observations.rests.gyro), vertical)
-    rows = np.column_stack([vertical, np.full(len(vertical), EARTH_RATE * np.sin(latitude))])
+    nominal, vertical_rate = block.nominal(), EARTH_RATE * np.sin(site.latitude)
+    rate = np.einsum("ij,ij->i", nominal.apply(rests.gyro), vertical)
+    rows = np.column_stack([vertical, np.full(len(vertical), vertical_rate)])
     solution, _, rank, _ = np.linalg.lstsq(rows, rate)
     if rank < 4:
         return False
-    scatter = ((rate - rows @ solution) ** 2).sum() / (len(rate) - 4)
-    s, u = float(solution[3]), float(np.sqrt(scatter * np.linalg.inv(rows.T @ rows)[3, 3]))
-    return s + 6.0 * u < 0.0 and abs(s + 1.0) < 3.0 * u + 0.1
+    along = vertical @ nominal.inverse()
+    noise = float(np.einsum("ij,ijk,ik->i", along, rests.gyro_covariance, along).mean())
+    scatter = float(((rate - rows @ solution) ** 2).sum()) / (len(rate) - 4)
+    by_force = max((g_sensitivity * site.gravity) ** 2, 1.5 * (scatter - noise)) / 3.0 / vertical_rate**2
+    s, u = float(solution[3]), float(np.sqrt(max(scatter, noise) * np.linalg.inv(rows.T @ rows)[3, 3] + by_force))
+    return s - 1.0 < -6.0 * u and abs(s + 1.0) < 3.0 * u + 0.1

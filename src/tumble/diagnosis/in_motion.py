@@ -14,13 +14,17 @@ import numpy as np
 import scipy
 
 from tumble.diagnosis.findings import Finding, refusal
+from tumble.diagnosis.misfit import unusual_groups
 from tumble.diagnosis.projection import FALSE_ALARMS
+from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.estimate import Estimate
 from tumble.inference.problem import LEVER_COLUMNS, SUPPORT_COLUMNS, SUPPORT_U
 from tumble.reduction.observations import Observations
+from tumble.sensors.parameters import group_name, within_kind
 
 IN_MOTION = "calibrated in motion"  # start of the note on a result from motion
 MOST_NAMED = 4
+LEAST_GAIN = 0.8  # ratio of u with motion to that without, geometric mean; two minutes in one place reach 0.05 to 0.5
 LARGEST_DISPLACEMENT = 0.3  # m: a larger one contradicts the model of a device that stays in one place
 
 
@@ -48,6 +52,27 @@ def in_motion(estimate: Estimate, observations: Observations, missing: tuple[str
         )
     elif displacement > LARGEST_DISPLACEMENT and not missing:
         yield refusal(f"the device moved by {displacement:.1f} m in motion: keep it in one place")
+    yield from unusual_groups(estimate)
+
+
+def improves(moving: Estimate, at_rest: Estimate) -> bool:
+    """Return True if an estimate from motion is to be preferred to that from the rests and turns of its recording.
+
+    Motion adds that the device stays in one place. If it was laid by hand from face to face, the unknowns of its
+    support and the sizes of groups follow its way instead. Rests and turns do not depend on the place: if the device
+    stays there, the scale factors and angles that they determine differ by Δ ~ N(0, C_r − C_m), and Δᵀ C_r⁻¹ Δ is at
+    most χ² with as many degrees of freedom as there are values (Hausman 1978, Econometrica 46, 1251-1271). Biases are
+    means over other times. Where rests and turns determine all linear parameters, motion must also reduce u."""
+    linear = linear_names(at_rest.names)
+    n, is_bias = len(linear), np.array([within_kind(group_name(name)) == "bias" for name in linear], dtype=bool)
+    known = np.flatnonzero(at_rest.observable[:n] & ~is_bias)
+    change = moving.values[known] - at_rest.values[known]
+    square = float(change @ np.linalg.solve(at_rest.covariance[np.ix_(known, known)], change))
+    if len(known) and scipy.special.chdtrc(len(known), square) < FALSE_ALARMS:
+        return False
+    gain = float(np.exp(np.log(moving.u[:n] / at_rest.u[:n]).mean()))
+    complete = moving.converged and not linear_names(moving.unobservable)
+    return bool(linear_names(at_rest.unobservable)) or (complete and gain < LEAST_GAIN)
 
 
 def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ...]:

@@ -30,7 +30,7 @@ import numpy as np
 from tumble.diagnosis.undetermined import linear_names
 from tumble.inference.estimate import Estimate, GroupFinding
 from tumble.inference.integrated_turns import IntegratedTurns
-from tumble.inference.joint import joint
+from tumble.inference.joint import joint, usual_rate
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import SCATTER, VarianceComponents
 from tumble.inference.normal_equations import solve
@@ -149,7 +149,8 @@ def group_columns(observations: Observations) -> tuple[Problem, Array]:
 def linear_joint(observations: Observations) -> Estimate:
     """Return the estimate of the linear model by `joint`, with the omitted groups in its u.
 
-    Scatter and in-run biases are those of the estimate with all groups, if there is one."""
+    Scatter and in-run biases are those of the estimate with all groups, if there is one, by which rests and turns are
+    judged too: groups of their usual sizes are many times the noise, and are in u."""
     full, problem = converged_joint(observations), whole_problem(observations)
     estimate = joint(replace(observations, usual={}), components=None if full is None else rms_components(full))
     linear, instrument = estimate.linearised, problem.instrument
@@ -165,6 +166,9 @@ def linear_joint(observations: Observations) -> Estimate:
         estimate = replace(
             estimate,
             linearised=full.linearised,
+            rest_sigmas=full.rest_sigmas,
+            gyro_rest_sigmas=full.gyro_rest_sigmas,
+            turn_sigmas=full.turn_sigmas,
             hyperparameters=full.hyperparameters,
             degrees=None if full.degrees is None else full.degrees[: instrument.linear_count],
             budget=replace(estimate.budget, sources=tuple(sources.get(s.name, s) for s in estimate.budget.sources)),
@@ -228,7 +232,7 @@ def with_omitted_groups(estimate: Estimate, problem: Problem, shift: Array, size
             by_group = np.vstack([-shifted, np.diag(sizes)])[:, place]
             prior = source(f"prior.{name}", float(sizes[place.start]), instrument.units[first + place.start])
             budget = budget.with_source(prior, by_group @ by_group.T)
-    rate = None if estimate.prediction is None else estimate.prediction.at_rate
+    rate = usual_rate(None if estimate.linearised is None else estimate.linearised.about)
     return replace(
         estimate,
         budget=budget,

@@ -1,10 +1,10 @@
 """Findings from the residuals of an estimate, and from noise and parameters that are far from their usual sizes.
 
-An estimate is accepted with scatter if a group of residuals exceeds the noise within rests, if a cause is significant
-(`tumble.diagnosis.causes`), or if biases or scale factors vary far more than usual. All tests together find something
-in less than one of a hundred clean sessions. An estimate is refused if its uncertainty cannot be trusted: if leaving
-out a significant cause moves a parameter of the linear model by more than LARGEST_DAMAGE of its u, since this error is
-not random. Groups that it moves by less than ACCEPTED_DAMAGE are accepted all the same.
+An estimate is accepted with scatter if a group of residuals exceeds the noise within rests and the usual in-run biases,
+if a cause is significant (`tumble.diagnosis.causes`), or if biases or scale factors vary far more than usual. All tests
+together find something in less than one of a hundred clean sessions. An estimate is refused if its uncertainty cannot
+be trusted: if leaving out a significant cause moves a parameter of the linear model by more than LARGEST_DAMAGE of its
+u, since this error is not random. Groups that it moves by less than ACCEPTED_DAMAGE are accepted all the same.
 """
 
 from __future__ import annotations
@@ -90,14 +90,15 @@ class ResidualGroup:
             covariances |= {"turn": turns.covariance, "velocity": turns.velocity_covariance}
         return typical_noise(covariances[self.name])
 
-    def p_value(self, linearised: Linearisation, noise_only: Solution, part: SessionSpan) -> float:
-        """Return the probability that the noise within rests exceeds the residuals of a session, in the directions of
-        the scatter."""
-        noise, equations = linearised.noise, noise_only.equations
+    def p_value(self, linearised: Linearisation, expected: Solution, part: SessionSpan) -> float:
+        """Return the probability that chance exceeds the residuals of a session, in the directions of the scatter.
+
+        `expected` is the solution with the noise within rests and the usual in-run biases."""
+        noise, equations = linearised.noise, expected.equations
         at_rest = self.name in REST_SCATTER
         Z, component = noise.rest_directions if at_rest else noise.turn_directions
         W = equations.rest_whitening if at_rest else equations.turn_whitening
-        residual, covariance = noise_only.rest_residuals if at_rest else noise_only.turn_residuals
+        residual, covariance = expected.rest_residuals if at_rest else expected.turn_residuals
         rows = part.rests if at_rest else part.turns
         directions = Z[:, :, np.isin(component, [SCATTER.index(name) for name in (self.name, *self.others)])]
         return SumOfSquares.along(W[rows] @ directions[rows], residual[rows], covariance[rows]).p_value
@@ -121,20 +122,24 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     linearised = estimate.linearised
     if linearised is None:
         return ()
-    noise_only = diagnostic_solution(linearised, VarianceComponents())
+    linearised = _with_estimated_sizes(linearised, estimate)
     session, together = LinearisedSession(linearised), linearised.problem.observations.together
+    usual = {
+        h.name.removesuffix("_in_run"): _usual_size(h, linearised, UNUSUAL_RATIO) for h in estimate.hyperparameters
+    }
+    in_run = VarianceComponents(accel_in_run=usual.get("accel", 0.0), gyro_in_run=usual.get("gyro", 0.0))
+    expected = diagnostic_solution(linearised, in_run)
     p_values = [
-        {group: group.p_value(linearised, noise_only, part) for group in GROUPS} for part in linearised.problem.parts
+        {group: group.p_value(linearised, expected, part) for group in GROUPS} for part in linearised.problem.parts
     ]
-    causes = _causes(session, noise_only) if search else [[] for _ in p_values]
+    causes = [list[Cause]() for _ in p_values]
+    if search:
+        causes = _causes(session, diagnostic_solution(linearised, VarianceComponents()))
     limit = holm_limit(
         [p for of_session in p_values for p in of_session.values()]
         + [cause.p_value for of_session in causes for cause in of_session]
     )
     varying = list(_varying_parameters(estimate, linearised))
-    usual = {
-        h.name.removesuffix("_in_run"): _usual_size(h, linearised, UNUSUAL_RATIO) for h in estimate.hyperparameters
-    }
     reported = {kind for finding in varying for kind in finding.kinds if finding.causes != ("scale-factor drift",)}
     by_session = [
         list(_session_findings(linearised, *of_session, limit, usual, reported))
@@ -150,13 +155,28 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
         findings.append(
             remark(f"{len(by_session) - MOST_SESSIONS} more sessions scatter: calibrate them one by one to see why")
         )
-    findings += [*_unusual_groups(estimate), *varying]
+    findings += [*unusual_groups(estimate), *varying]
     if estimate.method == "joint":
         return tuple(findings)
     return tuple(
         replace(one, sentence=f"by the method joint, {one.sentence}".replace(RANDOM_IN_U, "").replace(IN_U, ""))
         for one in findings
     )
+
+
+def _with_estimated_sizes(linearised: Linearisation, estimate: Estimate) -> Linearisation:
+    """Widen the priors of groups to their sizes by the integral, where these are larger than at the maximum.
+
+    Scatter and large groups may explain the same residuals, with a maximum of the posterior each."""
+    problem, sizes = linearised.problem, {h.name: h.value for h in estimate.hyperparameters}
+    prior_u, usual_u = problem.prior_u.copy(), problem.usual_u
+    for finding in estimate.groups:
+        if finding.name in problem.instrument.members:
+            members = problem.instrument.members[finding.name]
+            places = slice(members.start + 1, members.stop + 1)
+            size = max(finding.prior_widened, sizes.get(finding.name, 1.0))
+            prior_u[places] = np.maximum(prior_u[places], size * usual_u[places])
+    return linearised.with_priors(replace(problem, prior_u=prior_u))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -252,6 +272,7 @@ def _session_findings(
     if scattering:  # further causes are named if they may explain it
         kinds = {group.concerns for group in scattering}
         likely = [c for c in causes if c not in named and (not c.concerns or c.concerns[0] in kinds)]
+        likely = [c for c in likely if c.name != "lost samples" or "turn" in ratios]  # rests are as they were
         explained = any(cause.concerns != ("accel",) for cause in named)
         if ratios.get("turn", 0.0) > MOVEMENT_RATIO * ratios.get("gyro", 0.0) and not explained:
             # a cause by which turns scatter far more than gyros at rest is random; no systematic effect need fit it
@@ -302,7 +323,9 @@ def _harmful(cause: Cause) -> Finding:
     """Refuse the groups of parameters that a cause moves, those of the sensors at fault first."""
     groups = [group for group, damage in cause.by_group.items() if damage > ACCEPTED_DAMAGE]
     groups.sort(key=lambda group: not group.startswith(cause.concerns))
-    damage = f"up to {cause.damage:.2g} times their u" if np.isfinite(cause.damage) else "more than their u, all alike"
+    finite = np.isfinite(cause.damage)
+    damage = f"up to {two_digits(cause.damage)} times their u" if finite else "more than their u, all alike"
+    damage += ", if the most harmful of these is the cause" if cause.rivals else ""
     sentence = f"{cause.sentence}; without it parameters of {', '.join(groups)} err by {damage}"
     return Finding(sentence=sentence, concerns=tuple(groups), refuses=True, causes=(cause.name, *cause.rivals))
 
@@ -331,7 +354,7 @@ def _scatter_sentence(group: ResidualGroup, ratio: float, linearised: Linearisat
     return f"{sentence}{RANDOM_IN_U}"
 
 
-def _unusual_groups(estimate: Estimate) -> Iterator[Finding]:
+def unusual_groups(estimate: Estimate) -> Iterator[Finding]:
     """Yield the groups beyond the linear model, without drifts, that are far larger than usual, by kind of sensor."""
     sizes = {h.name: h for h in estimate.hyperparameters}
     by_kind = dict[str, dict[str, str]]()

@@ -109,6 +109,11 @@ def ends_tilted(before: Array, behind: Array) -> bool:
     return bool(before @ behind < TILTED)
 
 
+def least_cost(turns: int, vertical: float) -> float:
+    """Return the cost of a number of short turns that carry verticals with this standard deviation, rad, exactly."""
+    return -2.0 * turns * math.log(2.0 / vertical**2)
+
+
 def turn_likelihoods(
     turns: Sequence[tuple[Array, Array, Array]], widths: Widths = WIDTHS
 ) -> tuple[TurnLikelihood, ...]:
@@ -171,8 +176,7 @@ def turn_likelihoods(
 
     stated, *exchanges = signed_permutations()
     (first,) = likelihoods([stated], GRID, 1, MOST_TURNS)
-    attainable = -2.0 * len(turns) * math.log(2.0 / widths.vertical**2)
-    if first.least < 0.5 * attainable:
+    if first.least < 0.5 * least_cost(len(turns), widths.vertical):
         return (first,)
     rough = sorted(likelihoods(exchanges, COARSE * GRID, COARSE, MOST_TURNS // 2), key=lambda p: p.least)
     return first, *likelihoods([p.exchange for p in rough[:MOST_EXCHANGES]], GRID, 1, MOST_TURNS)

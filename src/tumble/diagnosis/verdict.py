@@ -12,10 +12,11 @@ from tumble.diagnosis.in_motion import in_motion
 from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import FALSE_ALARMS
 from tumble.diagnosis.undetermined import faces_alone, linear_names, six_faces, uncertain_gravity, undetermined
-from tumble.earth import normal_gravity
+from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.inference.integral import is_poorly_sampled
 from tumble.recording.session import Site
+from tumble.recording.session.document import last_digit_u
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation
 from tumble.sensors.parameters import group_name, limits_of, sensor_kind
@@ -27,7 +28,8 @@ LARGEST_SHARE = 1.0 / 3.0  # of rests or turns that do not fit: if there are mor
 IMPOSSIBLE_BIAS = 5.0  # in limits of a gyro bias
 SPREAD_DEGREES = 2.0  # degrees of freedom of the usual spread of scale factors, which is right within a factor of two
 MILLIGAL = 1e-5  # m/s²
-DOUBTFUL_ANOMALY = 300.0 * MILLIGAL  # anomalies of gravity on land reach it in a few places
+DOUBTFUL_SIGMAS = 4.0  # of the difference between stated and normal gravity; high mountains reach it
+COARSE_DIGITS = 10.0  # ratio of the u of a last digit to the stated u; one or two last digits may be zero by chance
 IMPOSSIBLE_ANOMALY = 1100.0 * MILLIGAL
 """No anomaly on Earth reaches 1,000 mGal. imu_tk takes a value 1,091 mGal above normal gravity for its recording, on
 which published results rest."""
@@ -56,7 +58,7 @@ def verdict(
         undetermined parameters, both kinds of sensors, accelerometers, gyros.
     """
     missing, site = linear_names(estimate.unobservable), observations.site
-    of_gravity = (*(() if gravity_confirmed else _impossible_gravity(site)), *uncertain_gravity(site))
+    of_gravity = (*(() if gravity_confirmed else _doubtful_gravity(site)), *uncertain_gravity(site))
     if observations.links is not None:
         return outcome_of((*in_motion(estimate, observations, missing), *of_gravity), missing)
     faces = faces_alone(estimate, missing)
@@ -84,14 +86,29 @@ def verdict(
     return outcome_of([*(finding for finding in weak if finding.refuses), *refusals, *remarks], missing)
 
 
-def _impossible_gravity(site: Site) -> Iterator[Finding]:
-    """Refuse gravity that no place on Earth has."""
+def _doubtful_gravity(site: Site) -> Iterator[Finding]:
+    """Refuse gravity that no place on Earth has, and report gravity that few places have or with too few digits."""
     anomaly = gravity_anomaly(site)
     if anomaly is not None and abs(anomaly) > IMPOSSIBLE_ANOMALY:
         yield refusal(
             f"{gravity_text(site)}, more than {IMPOSSIBLE_ANOMALY / MILLIGAL:.0f}: every scale factor of the "
             "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write "
             "gravity_confirmed = true",
+            "accel.scale",
+        )
+        return
+    sigmas = abs(anomaly or 0.0) / float(np.hypot(site.gravity_u, NORMAL_GRAVITY_U))
+    if sigmas > DOUBTFUL_SIGMAS:
+        yield remark(
+            f"{gravity_text(site)} at {site.height:.0f} m, {sigmas:.1f} times the standard uncertainty of both: "
+            "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true; if it is wrong, "
+            f"so are the scale factors of the accelerometers, by {1e6 * (anomaly or 0.0) / site.gravity:+.0f} ppm",
+            "accel.scale",
+        )
+    if 0.0 < COARSE_DIGITS * site.gravity_u < (digit_u := last_digit_u(site.gravity)):
+        yield remark(
+            f"gravity {site.gravity!r} m/s^2 has a last digit of u {digit_u:.1g} m/s^2, more than the stated gravity_u "
+            f"of {site.gravity_u:.1g} m/s^2: write all digits of gravity in [site], or a larger gravity_u",
             "accel.scale",
         )
 
@@ -238,18 +255,6 @@ def gravity_text(site: Site) -> str:
     """Return gravity, with its difference to normal gravity if the latitude is known."""
     anomaly = anomaly_text(site)
     return f"gravity {site.gravity:.6f} m/s^2" + ("" if anomaly is None else f", {anomaly}")
-
-
-def doubtful_gravity(site: Site) -> tuple[str, ...]:
-    """Return a note if gravity is one that few places have."""
-    anomaly = gravity_anomaly(site)
-    if anomaly is None or abs(anomaly) <= DOUBTFUL_ANOMALY:
-        return ()
-    return (
-        f"{gravity_text(site)}, more than {DOUBTFUL_ANOMALY / MILLIGAL:.0f}: look at gravity, latitude_deg and "
-        f"height_m in [site]; if that is wrong, the scale factors of the accelerometers are off by "
-        f"{anomaly / site.gravity * 1e6:+.0f} ppm",
-    )
 
 
 # -------------------- time base of the log --------------------

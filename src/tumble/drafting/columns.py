@@ -26,7 +26,7 @@ from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_s
 from tumble.recording.columns.numbers import columns_by_data, grows, guess_remarks, time_by_data
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
-from tumble.recording.text.dialect import LINE_BYTES, SEEN_BYTES, Dialect, dialect_of, is_clock
+from tumble.recording.text.dialect import COUNTS, LINE_BYTES, SEEN_BYTES, Dialect, dialect_of, head_lines, is_clock
 from tumble.recording.text.pieces import opened
 
 _FEWEST_FILES, _LONGEST_ROW = 50, 4096  # number of files with one row each; bytes
@@ -115,7 +115,7 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
         raise InputError(f"{file}: expected a log of rows of numbers, found something else; is it a recording?")
     if dialect_and_top is not None:
         dialect, top = dialect_and_top
-        lines = start.decode(dialect.encoding, errors="replace").split("\n")[top.lines : top.lines + SAMPLE_ROWS]
+        lines = head_lines(start, dialect.encoding)[top.lines : top.lines + SAMPLE_ROWS]
         rows = [row for line in lines if len(row := dialect.cells(line)) == len(top.names)]
     if dialect_and_top is None or len(rows) < 2:
         raise NoLogError(f"{file}: expected rows of readings below the names of the columns, found none")
@@ -154,15 +154,17 @@ def _numeric_columns(log: ForeignLog) -> list[str]:
 def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
     """Identify sensors by their numbers where names do not identify them.
 
-    Accelerometers and gyros are sought among columns whose names do not exclude it; if accelerometers are named, gyros
-    are sought among columns without names."""
+    Accelerometers and gyros are sought among columns whose names do not exclude it. If accelerometers are named, gyros
+    with a name that does not tell them are taken only if they turn the accelerometers' vector."""
     named, names = log.columns, list(log.names)
     accel = named.triads[ACCEL].columns if ACCEL in named.triads else ()
     taken = {column for sensors in named.triads.values() for column in sensors.columns} | {named.time}
     free = [name for name in _numeric_columns(log) if name not in taken and not is_no_sensor(name)]
-    if accel:
-        free = [name for name in free if name.isdecimal() and GYRO not in named.triads]
-    if len(free) < 3:
+    if accel:  # those of other devices are no gyros
+        taken |= {column for sensors in columns_by_name(free).triads.values() for column in sensors.columns}
+        free = [name for name in free if name not in taken]
+    nameless = [name for name in free if name.isdecimal()]
+    if len(free) < 3 or (accel and GYRO in named.triads):
         return log
     numbers = with_signs(log.read([*accel, *free]))
     numbers = numbers[: count_samples(numbers)]
@@ -170,8 +172,11 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
     table = np.full((len(numbers), len(names)), np.nan)
     table[:, [names.index(name) for name in (*accel, *free)]] = numbers
     by_data = columns_by_data(names, table)
-    if accel and (GYRO not in by_data.triads or set(by_data.triads[ACCEL].columns) != set(accel)):
-        unused = f"columns without names, {', '.join(free)}, are not used"
+    found = GYRO in by_data.triads and set(by_data.triads[ACCEL].columns) == set(accel)
+    if accel and not (found and (by_data.turning or set(by_data.triads[GYRO].columns) <= set(nameless))):
+        if len(nameless) < 3:
+            return log
+        unused = f"columns without names, {', '.join(nameless)}, are not used"
         doubt = f"{unused}: the accelerometers alone are calibrated; state --gyro if some are gyros"
         return replace(log, doubts=(doubt,))
     if ACCEL not in by_data.triads:
@@ -252,7 +257,7 @@ def _with_time(log: ForeignLog) -> ForeignLog:
     if log.columns.time is not None:
         return log
     sensors = {c for triad in log.columns.triads.values() for c in triad.columns}
-    names = [name for name in _numeric_columns(log) if name not in sensors]
+    names = [name for name in _numeric_columns(log) if name not in sensors and not COUNTS.fullmatch(name)]
     time = time_by_data(names, log.read(names, rows=LONGEST // 10)) if names else None
     if time is None:
         return log

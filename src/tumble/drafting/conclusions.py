@@ -75,7 +75,9 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> It
         if abs(length - 1.0) > _GRAVITY_TOLERANCE:
             reading = f"the accelerometers read {length:.3g} g at rest in {unit}, as their names say"
             yield f"{reading}: if another unit is right, state --accel-unit; without gravity none is calibrated"
-    elif not (best.accel.listed or draft.whole[ACCEL] or unit == "V"):
+    elif not (draft.whole[ACCEL] or unit == "V") and (
+        not best.accel.listed or abs(evidence.length / best.accel.reading(best.times.rate) - 1.0) > _GRAVITY_TOLERANCE
+    ):
         if WITHOUT_GRAVITY.search(columns[0]):
             raise InputError(
                 f"{draft.files[0]}: expected readings of accelerometers, found linear acceleration, which a filter has "

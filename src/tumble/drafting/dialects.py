@@ -38,7 +38,7 @@ from tumble.recording.log_source import readable
 from tumble.recording.text.dialect import Dialect, dialect_of, encoding_of, is_clock
 from tumble.recording.text.pieces import opened
 
-_FIRST_LINES = 200
+_SOME_LINES = 200
 _FEWEST_NUMBERS = 3
 _LONGEST_LINE = 4096  # characters
 _MOST_SENSORS = 20
@@ -71,11 +71,14 @@ def uniform_lines(lines: Sequence[str], parse: Callable[[str], ParsedLine | None
         return None
 
     def rows(lines: Iterable[str]) -> Rows:
+        started = not names
         for line in lines:
             parsed = parse(line)
             matches = parsed is not None and (*parsed[:2], len(parsed[2])) == (kind, names, width)
             row = ",".join(parsed[2]) if parsed is not None and matches else ""
-            yield "", [row or line.replace(",", " ")]
+            started |= matches
+            if started:  # boot messages are above the first row
+                yield "", [row or line.replace(",", " ")]
 
     listed = f" ({', '.join(names)})" if names else ""
     return TextForm(rows=rows, names={"": names}, title=f"{title}{kind}{listed}")
@@ -251,7 +254,7 @@ def _samples(lines: Iterable[str]) -> Iterator[tuple[dict[str, str], int]]:
         count += bool(values)
 
 
-# -------------------- marks between thousands --------------------
+# -------------------- marks between thousands, and at the ends of rows --------------------
 
 _THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
 _QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
@@ -267,6 +270,14 @@ def thousands(lines: Sequence[str]) -> TextForm | None:
         return None
     title = "marks between thousands, as in 1'000"
     return TextForm(rows=lambda lines: (("", [plain(line)]) for line in lines), title=title)
+
+
+def ended_rows(lines: Sequence[str]) -> TextForm | None:
+    """Return the form of rows that end with a semicolon, which does not separate their values."""
+    ended = sum(line.count(";") == 1 and line.rstrip().endswith(";") for line in lines)
+    if ended <= max(_ALIKE_SHARE * sum(bool(line.strip()) for line in lines), 1):
+        return None
+    return TextForm(rows=lambda lines: (("", [line.rstrip("; \t")]) for line in lines), title="semicolons behind rows")
 
 
 # -------------------- a line for each sensor --------------------
@@ -342,17 +353,19 @@ def _are_sensor_labels(words: Sequence[str], dialect: Dialect) -> bool:
 
 
 def form_of(lines: Sequence[str]) -> TextForm | None:
-    """Return the form of the first lines of a log; None for a table, and for rows with a column that names a sensor."""
-    first = lines[:_FIRST_LINES]
+    """Return the form of the lines of a log, by the last of them, which are below boot messages; None for a table, and
+    for rows with a column that names a sensor."""
+    last = lines[-_SOME_LINES:]
     return (
         rows_named_in_comments(lines)
-        or uniform_lines(first, sentence, "sentences")
-        or uniform_lines(first, json_object, "objects of JSON")
-        or samples_of_several_lines(first)
-        or uniform_lines(first, named_values, "names before the numbers")
-        or uniform_lines(first, row_in_brackets, "rows in brackets")
-        or uniform_lines(first, row_behind_clock, "rows behind the clock of a serial monitor")
-        or thousands(first)
+        or uniform_lines(last, sentence, "sentences")
+        or uniform_lines(last, json_object, "objects of JSON")
+        or (samples_of_several_lines(last) and samples_of_several_lines(lines[:_SOME_LINES]))  # from their first line
+        or uniform_lines(last, named_values, "names before the numbers")
+        or uniform_lines(last, row_in_brackets, "rows in brackets")
+        or uniform_lines(last, row_behind_clock, "rows behind the clock of a serial monitor")
+        or thousands(last)
+        or ended_rows(last)
     )
 
 

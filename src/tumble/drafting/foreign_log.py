@@ -127,8 +127,11 @@ class ForeignLog:
         return float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else 0.0
 
     def reads_gravity(self, columns: Sequence[str]) -> bool:
-        """Return whether the magnitude of three columns is gravity in a known unit; False for no columns."""
-        units = [scale.value for scale in CANDIDATES[ACCEL] if scale.unit is not None]
+        """Return whether the magnitude of three columns is gravity in a known unit, or in counts of data sheets for
+        whole numbers; False for no columns."""
+        numbers = self.read(columns, rows=HEAD_ROWS) if columns else np.empty((0, 3))
+        whole = np.array_equal(numbers, np.floor(numbers), equal_nan=True)
+        units = [scale.value for scale in CANDIDATES[ACCEL] if scale.unit is not None or whole]
         return any(abs(self.magnitude(columns) / one_g - 1.0) < _GRAVITY_TOLERANCE for one_g in units)
 
     def is_clock(self, column: str) -> bool:
@@ -164,7 +167,7 @@ class ForeignLog:
         assumed = times_without_column(None, self.preamble)
         if stamps is None:
             return assumed
-        remark = f"time: column {stamps.column!r} does not grow and is not used"
+        remark = f"time: column {stamps.column!r} does not grow as a time does and is not used"
         return replace(assumed, remarks=(remark, *assumed.remarks))
 
     def stamped_times(self) -> list[Times]:

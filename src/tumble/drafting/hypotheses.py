@@ -13,7 +13,8 @@ Gaussian of width s relative to a uniform one over the orders of magnitude that 
 
 The log is read once, as raw numbers at a rate that may be wrong. Rests are found by the accelerometers, whose relative
 scatter needs no unit. They give the length of gravity, the zero of the accelerometers and the gyros' readings at rest;
-the turns between them give the likelihood of Q (`turn_likelihood`).
+the turns between them give the likelihood of Q (`turn_likelihood`). If rests are few and their turns do not fit,
+moments of about 1 g in motion take their place.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from tumble.diagnosis.turn_likelihood import (
     Widths,
     cost_of_free_scale,
     ends_tilted,
+    least_cost,
     turn_likelihoods,
 )
 from tumble.drafting.draft import Draft
@@ -55,15 +57,19 @@ from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.rests.rests import sphere_through
 from tumble.reduction.rests.segmentation import Stretch, find_rests
 from tumble.rotation import unit_vector
-from tumble.run.observed import LARGEST_SQUARED, Progress
+from tumble.run.observed import FEWEST_RESTS, LARGEST_SQUARED, Progress
 from tumble.sensors.model import Block
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array
 
 _TRIAD = Block(kind="accel", axes=np.eye(3))
 _CLIPPED_RUN, _BELOW_CLIPPING = 3, 0.97  # largest readings in a row; part of the largest reading
 _NO_OFFSET, _LEAST_SINGULAR, _ALIKE = 0.3, 0.05, 0.05  # of gravity; of the largest singular value; of gravity
+_LARGEST_UNEVEN, _LEAST_EXTENT = 0.1, 0.75
+"""Of gravity, for a sphere with any centre: scatter of the lengths, and extent of the readings of each sensor."""
 _LENGTH_IN_MOTION_U = 0.2
 """Relative standard uncertainty of gravity as the median magnitude of accelerometers that are never at rest."""
+_VERTICAL_IN_MOTION, _TURN_IN_MOTION = 0.15, 1.5
+"""Standard deviation of a vertical in motion, rad: 1.5 m/s² of a hand; s between two verticals."""
 _UNEVEN, _CENTRE_STEPS = 0.01, 4
 """Relative differences of readings of one g between attitudes, without offsets; number of Gauss–Newton steps."""
 _TURN_QUANTILE = 0.8  # of the readings in a turn; it represents the middle of the turn
@@ -115,6 +121,10 @@ class Evidence:
         """Median reading of the gyros at rest (3,)."""
         return np.median(self.gyro, axis=0) if len(self.gyro) else np.zeros(3)
 
+    def is_good(self, vertical: float) -> bool:
+        """Return True if rotations explain the turns, between verticals with this standard deviation, rad."""
+        return min((p.least for p in self.profiles), default=0.0) < 0.5 * least_cost(self.turns, vertical)
+
 
 def gather_evidence(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Evidence:
     """Return the evidence of a draft's log.
@@ -141,7 +151,11 @@ def gather_evidence(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -
         unknown = Evidence(rate=reduction.rate, length=1.0, length_u=_LENGTH_IN_MOTION_U)
         return replace(unknown, gyro=middle[None], gyro_scatter=scatter)
     trials = [_evidence_at(reduction, factor, draft.magnitude, widths) for factor in factors]
-    return max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
+    best = max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
+    if best.rests >= FEWEST_RESTS or best.is_good(widths.vertical):
+        return best
+    moving = _evidence_in_motion(reduction, best, widths)
+    return moving if moving.turns >= FEWEST_RESTS and moving.is_good(_VERTICAL_IN_MOTION) else best
 
 
 def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Evidence:
@@ -182,6 +196,31 @@ def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: 
     )
 
 
+def _evidence_in_motion(reduction: Reduction, at_rest: Evidence, widths: Widths) -> Evidence:
+    """Return evidence with the turns of a device that hardly rests, between the pairs of blocks of every second or two
+    whose specific force is nearest to gravity: it is the vertical to within `_VERTICAL_IN_MOTION`."""
+    spans, up = list[Stretch](), list[Array]()
+    every = max(round(_TURN_IN_MOTION / reduction.block_seconds), 2)
+    for file in reduction.files:
+        force = 0.5 * (file.accel.means[1:] + file.accel.means[:-1]) - at_rest.zero
+        off = np.abs(np.linalg.norm(force, axis=1) / at_rest.length - 1.0)
+        for start in range(0, len(force) - every + 1, every):
+            pair = start + int(np.argmin(off[start : start + every]))
+            if off[pair] < _VERTICAL_IN_MOTION:
+                spans.append(Stretch.of_blocks(file, (pair + 1, pair + 1)))
+                up.append(unit_vector(force[pair]))
+    if not spans or not reduction.gyro_channels:
+        return at_rest
+    turns = _turns(reduction, tuple(spans), np.array(up), at_rest.bias[None])
+    readings = [np.quantile(np.linalg.norm(sums, axis=1), _TURN_QUANTILE) for sums, _, _ in turns]
+    return replace(
+        at_rest,
+        turns=len(turns),
+        turning=float(np.median(readings)) if turns else 0.0,
+        profiles=turn_likelihoods(turns, replace(widths, vertical=_VERTICAL_IN_MOTION)),
+    )
+
+
 def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float, list[float], Array]:
     """Estimate gravity and the zero of accelerometers from mean readings (N, 3) at rest.
 
@@ -197,10 +236,13 @@ def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float
         in_table = alike and log_distance_to_table(ACCEL, length) < SCALE_TOLERANCE
         if singular[2] > _LEAST_SINGULAR * singular[0] and not in_table:
             centre, radius = sphere_through(means)
+            uneven = float(np.linalg.norm(means - centre, axis=1).std()) / radius
+            is_sphere = uneven < _LARGEST_UNEVEN and np.ptp(means, axis=0).min() > _LEAST_EXTENT * radius
             middles = MIDDLES if (means > 0.0).all() else ()
             nominal = next((m for m in (0.0, *middles) if np.abs(centre - m).max() < _NO_OFFSET * radius), None)
-            zero = centre if nominal is None else np.full(3, nominal)
-            offset = np.inf if nominal is None else max(offset, float(np.abs(centre - zero).max()) / radius)
+            if nominal is not None or is_sphere:
+                zero = centre if nominal is None else np.full(3, nominal)
+                offset = np.inf if nominal is None else max(offset, float(np.abs(centre - zero).max()) / radius)
     centre, length_u = zero, offset
     length = float(np.median(np.linalg.norm(means - zero, axis=1)))
     for _ in range(_CENTRE_STEPS if length > 0.0 else 0):
@@ -310,7 +352,8 @@ def _gyro_trials(
 ) -> Iterator[tuple[Times, SensorScale | None, float]]:
     """Yield times and gyro scales with the cost of turns, readings and assumptions.
 
-    If the rate is unknown, the rate at which the turns fit a unit best is also tried."""
+    If the rate is unknown, the rate at which the turns fit a unit best is also tried; and with time stamps, that a unit
+    in a name is wrong: its name stays, and the calibration refuses it with the unit that fits."""
     assumed_times = (draft.times, *draft.times.rivals)
     nominal = None if profile is None else profile.of_nominal(widths.scale)
     if not gyros:
@@ -332,6 +375,11 @@ def _gyro_trials(
             if profile is not None or gyro.unit is not None:
                 cost += _cost_of_readings(evidence, scale, times.rate, draft, widths)
             yield times, scale, cost
+        if nominal is not None and draft.times.stamped and draft.unit(GYRO) == gyro.unit is not None:
+            for others in (o for o in CANDIDATES[GYRO] if o.unit not in (None, gyro.unit) and not o.increment):
+                cost = nominal.at(math.log(others.reading(draft.times.rate) * draft.times.rate / DEGREE))
+                cost += _cost_of_readings(evidence, others, draft.times.rate, draft, widths)
+                yield draft.times, gyro, cost - 2.0 * math.log(widths.named_wrongly)
 
 
 def _assumed_scales(kind: str, draft: Draft, unlisted: float) -> Iterator[tuple[SensorScale, float]]:

@@ -80,7 +80,10 @@ def session_of_log(
         content["files"] = [file.name for file in output.written]
         with whole_file(output.new_file(MADE)) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        yield folder, f"{origin}kept in {folder / SESSION_FILE}", draft.remarks, faults
+        origin += f"kept in {folder / SESSION_FILE}"
+        if draft.magnetometer is not None:
+            origin += ", where the magnetometer is a comment: take the # away to calibrate it too"
+        yield folder, origin, draft.remarks, faults
 
 
 @contextmanager

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,13 +26,13 @@ from tumble.drafting.containers import check_format, files_of, unzipped
 from tumble.drafting.draft import Draft, session_text
 from tumble.drafting.foreign_log import HEAD_ROWS, SAMPLE_ROWS, ForeignLog
 from tumble.drafting.repairs import repair_log
-from tumble.drafting.sensors_apart import log_of_recording
+from tumble.drafting.sensors_apart import CORE_MOTION, log_of_recording
 from tumble.errors import InputError, LogError, did_you_mean
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import programmes
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit, unit_of_name
 from tumble.recording.columns.scales import resolution_in_deg_s
-from tumble.recording.formats import is_recording
+from tumble.recording.formats import PX4_CORRECTED, is_recording
 from tumble.recording.log import Log
 from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import is_reading
@@ -50,7 +49,13 @@ _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": 
 """Magnetic fields on Earth, with iron nearby."""
 _SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEGREE)}
 _PLAUSIBLE_TEMPERATURES = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # median of a recording
-_CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
+_CORRECTED = {
+    "accelerometer_m_s2[0]": PX4_CORRECTED,
+    "accSmooth[0]": "accSmooth is what Betaflight has corrected by align_board_* and acc_calibration (iNav: acczero_*, "
+    "accgain_*): an export is wrong unless these were 0 (gains 4096) while recording",
+}
+"""Doubts by the name of a column."""
+_PX4_COUNTERS = ("accel_calibration_count", "gyro_calibration_count")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -222,7 +227,7 @@ def drafted_log(
 def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     """Return a draft from names and first numbers, with sensors as raw numbers."""
     columns, times = log.columns, log.times(rate)
-    remarks, doubts = list(log.remarks), log.doubts
+    remarks, doubts = list(log.remarks), (*_doubts_of_corrected(log), *log.doubts)
     if rate is not None and columns.time is not None and not times.stamped:
         remarks.append(f"time: column {columns.time!r} is not used, since the rate was given")
         doubts = (*doubts, *_contradicted_rate(log, rate))
@@ -276,6 +281,15 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     )
 
 
+def _doubts_of_corrected(log: ForeignLog) -> Iterator[str]:
+    """Yield doubts about readings that a flight controller has corrected, by the names of their columns."""
+    columns = [column for sensors in log.columns.triads.values() for column in sensors.columns]
+    for name, sentence in _CORRECTED.items():
+        counters = [c for c in _PX4_COUNTERS if c in log.names]  # of calibrations; 0 without any
+        if name in columns and not (len(counters) == len(_PX4_COUNTERS) and not log.read(counters).any()):
+            yield sentence
+
+
 def _contradicted_rate(log: ForeignLog, rate: float) -> Iterator[str]:
     """Yield a doubt if a stated sample rate, Hz, contradicts the log's time column in every possible unit."""
     rates = [each.rate for each in log.stamped_times()]
@@ -292,7 +306,7 @@ def _with_apple_sign(draft: Draft) -> Draft:
     A recording cannot determine it, because gyros predict both directions of the vertical alike. Source: Apple,
     CMAccelerometerData and CMMotionManager, Core Motion."""
     accel = draft.log["accel"]
-    if accel["unit"] != "g" or not all(_CORE_MOTION.fullmatch(name) for name in accel["columns"]):
+    if accel["unit"] != "g" or not all(map(CORE_MOTION.fullmatch, accel["columns"])):
         return draft
     table = {"columns": accel["columns"], "unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
     remark = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"

@@ -57,6 +57,8 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
     if untouched and stamps is not None and not stamps.clock and len(stamps.values) < LONGEST:
         parts = recordings_of(stamps.values[np.isfinite(stamps.values)])
         why = f"time: the clock starts anew, so that there are {len(parts or ())} recordings: a file each"
+        if parts is not None and len(parts) == 1:
+            why = f"time: the clock starts anew: rows {parts[0][0] + 1} to {parts[0][1]} are taken"
     if parts is None:
         parts, why = _successive_positions(log, unsigned=ACCEL in unsigned)
     if unsigned:
@@ -97,7 +99,7 @@ def _copy(
             files.append(source.path if source.path in folder.written else folder.new_file(name))
             write_tables(files[-1], iter([rows]))
         for position, (start, stop) in enumerate(parts or (), 1):
-            files.append(folder.new_file(f"position-{position:02d}.parquet"))
+            files.append(folder.new_file(f"position-{position:02d}.parquet" if len(parts or ()) > 1 else "log.parquet"))
             write_tables(files[-1], iter([rows.slice(start, stop - start)]))
     described = replace(log.columns, time_unit="s") if log.clock is not None else log.columns
     described = replace(described, time=TIME, time_unit="s") if in_seconds else described
@@ -153,6 +155,8 @@ def _repair_time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, 
     column, interval, repairs = log.columns.time, log.columns.interval, list[Repair]()
     if rate is not None:
         return [] if column is None else [column], False, []
+    if column is not None and interval is None and _are_intervals(log.read([column])[:, 0]):
+        column, interval = None, column
     if column is None:
         steps = np.empty(0) if interval is None or len(log.files) > 1 else log.read([interval])[:, 0]
         steps = steps[np.isfinite(steps)]
@@ -181,6 +185,13 @@ def _repair_time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, 
         remark = f"time: column {column!r} in ticks of {tick:g} s, made seconds"
         repairs.append((remark, lambda rows: _in_seconds(rows, column, tick)))
     return [column], tick is not None, repairs
+
+
+def _are_intervals(stamps: Array) -> bool:
+    """Return whether stamps are intervals between samples: positive, changing, and of one size."""
+    stamps = stamps[np.isfinite(stamps)]
+    low, median, high = np.quantile(stamps, (0.05, 0.5, 0.95)) if len(stamps) else (0.0, 0.0, 0.0)
+    return bool(0.3 * median < low < high < 3.0 * median and not grows_mostly(stamps))
 
 
 def _in_seconds(rows: pl.DataFrame, column: str, factor: float, nanoseconds: str | None = None) -> pl.DataFrame:

@@ -34,6 +34,8 @@ from tumble.recording.session import AutopilotSensor
 from tumble.units import TIME_UNITS
 
 _UNCALIBRATED = re.compile(r"uncal", re.IGNORECASE)
+CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
+"""Columns of SensorLog, whose accelerometers read −1 g where an axis points up."""
 _GRAVITY = re.compile(r"grav|schwerkraft", re.IGNORECASE)
 
 
@@ -80,7 +82,8 @@ def log_of_recording(
         temperatures=temperatures or tuple(t for m in thermometers for t in m.temperatures),
     )
     imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
-    return ForeignLog(files=(log,), keys={}, columns=columns, remarks=tuple(remarks)), imu
+    doubts = tuple(dict.fromkeys(m.doubt for m in taken if m.doubt))
+    return ForeignLog(files=(log,), keys={}, columns=columns, remarks=tuple(remarks), doubts=doubts), imu
 
 
 def _belong_together(accel: Message, gyro: Message) -> bool:
@@ -156,6 +159,8 @@ def join_sensors(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog
     if ACCEL in by_kind and gravity is not None and not _reads_gravity(by_kind[ACCEL]):
         parts[ACCEL] = _sum(parts[ACCEL], _message(gravity, ACCEL))
         summed = f", {gravity.files[0].name} added to the accelerometers, which are without gravity"
+    if ACCEL in by_kind and all(map(CORE_MOTION.fullmatch, _time_and_axes(by_kind[ACCEL], ACCEL)[1])):
+        summed = ", accelerometers of opposite sign, as Apple's CoreMotion has them"
     joined = folder.new_file("log.parquet")
     first = next(iter(parts.values()))
     write_log(joined, first, parts.get(GYRO))
@@ -210,7 +215,9 @@ def _message(log: ForeignLog, kind: str) -> Message:
     x, y, z = (f"{kind}_{axis}" for axis in "xyz")
     table = log.read([stamps.column, *source])
     table = table[np.isfinite(table).all(axis=1)]
-    if recordings_of(table[:, 0]) is not None:
+    first, *further = recordings_of(table[:, 0]) or [(0, len(table))]
+    table = table[slice(*first)]
+    if further:
         raise InputError(
             f"{log.files[0]}: expected one recording, found a clock that starts anew; give each its own file"
         )
@@ -218,6 +225,7 @@ def _message(log: ForeignLog, kind: str) -> Message:
         rows = np.arange(len(table), dtype=float)
         table[:, 0] = np.polynomial.Polynomial.fit(rows, table[:, 0], 1)(rows)
     table = table[np.argsort(table[:, 0], kind="stable")]
+    table[:, 1:] *= -1.0 if all(map(CORE_MOTION.fullmatch, source)) else 1.0
     table[:, 0] *= 1.0 if stamps.clock else TIME_UNITS[times.keys.get("time_unit", "s")]
     return Message(
         name=log.files[0].name,

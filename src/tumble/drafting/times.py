@@ -44,10 +44,11 @@ _NEAR_TYPICAL = 0.5  # of the typical step, for steps that are averaged: stamps 
 _LONGEST_DELAY = 0.1  # of the log; longer delays are pauses
 _JITTER = 0.25  # of the interval
 _LINE_TOLERANCE = 3.0  # intervals, of stamps about a straight line, in addition to their delays
+_FEWEST_STEPS = 10  # that grow; fewer tell no rate to some percent
 _LEAST_GROWTH = 1e-9  # of stamps in all, in any unit
 _FALLING_SHARE = 0.01  # of steps
 _RATE_IN_TEXT = re.compile(
-    r"(?:rate|frequency|freq|fs|\bat|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)",
+    r"(?:rate|frequency|freq|fs|odr|\bat|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)",
     re.IGNORECASE,
 )
 
@@ -111,16 +112,18 @@ def times_without_column(rate: float | None, preamble: Sequence[str]) -> Times:
 
 
 def times_of_column(stamps: Stamps) -> Times | None:
-    """Return the unit and the rate of a time column; None if it does not grow like a time."""
+    """Return the unit and the rate of a time column; None if it does not grow like a time in any unit."""
     values = stamps.values[np.isfinite(stamps.values)]
     values = values[:-1] if len(values) > 3 and values[-1] < values[-2] else values  # the last line may be cut
     if len(values) < 3 or not grows_mostly(values):
         return None
     steps = np.diff(values)
     typical = _typical_step(steps)
-    if not 0.0 < typical < math.inf:
+    if not 0.0 < typical < math.inf or np.count_nonzero(steps > 0.0) < min(_FEWEST_STEPS, len(steps) // 2):
         return None
     units, how, doubts = _unit_costs(stamps, typical)
+    if not units:
+        return None
     fault = _fault_of_stamps(steps / typical)
     regular = fault is not None and _rows_are_equally_spaced(values)
     slope, near = typical, np.abs(steps - typical) <= _NEAR_TYPICAL * typical
@@ -212,8 +215,8 @@ def overflow_of(values: Array) -> float | None:
 def recordings_of(values: Array) -> list[tuple[int, int]] | None:
     """Return the ranges of rows of successive recordings in a log, each with a clock that restarts.
 
-    None for one recording, and where a fall of the clock is small or a range short. Single stamps that leap or fall
-    back are ignored."""
+    None for one recording, and where a fall of the clock is small. Single stamps that leap or fall back are ignored,
+    and a few first rows, before the clock was set, are left out."""
     single = leaping(values, -math.inf, 0.0)
     single[1:-1] |= (values[1:-1] < values[:-2]) & (values[2:] > values[:-2])
     rows = np.flatnonzero(~single)
@@ -222,6 +225,7 @@ def recordings_of(values: Array) -> list[tuple[int, int]] | None:
     if not 0 < len(falls) <= _MOST_RECORDINGS or (steps[falls] > -_LOST_AT_RESTART * np.median(steps)).any():
         return None
     edges = list(pairwise([0, *rows[falls + 1].tolist(), len(values)]))
+    edges = edges if edges[0][1] >= _SHORTEST_RECORDING else edges[1:]
     return edges if min(stop - start for start, stop in edges) >= _SHORTEST_RECORDING else None
 
 
@@ -245,7 +249,7 @@ def _unit_costs(stamps: Stamps, step: float) -> tuple[dict[str, float], str, lis
     dated = [name for name in costs if DATES[0] < low * TIME_UNITS[name] and high * TIME_UNITS[name] < DATES[1]]
     if dated and (rates[dated[0]] > _SLOW or min(costs.values()) >= _UNUSUAL_RATE_COST):
         return {dated[0]: 0.0}, _BY_DATES, []
-    ranked = dict(sorted(costs.items(), key=lambda item: item[1])) or {"s": 0.0}
+    ranked = dict(sorted(costs.items(), key=lambda item: item[1]))
     counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too"
     return ranked, "by its steps", [f"{counted}: if it is one, give the rate (--sample-rate)"] if counts else []
 

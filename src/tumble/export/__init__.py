@@ -102,6 +102,7 @@ def target(name: str) -> Target:
     found = _find(name)
     if found is None:
         longer = next((each for each in targets() if name and each.startswith(name)), "")
+        longer = longer or {"arduino": "c", "esp32": "c", "stm32": "c"}.get(name.lower(), "")
         advice = did_you_mean(longer or name, targets())
         raise InputError(f"export: expected one of {', '.join(targets())}, found {name!r}{advice}")
     return found if isinstance(found, Target) else _template_target(found, name)
@@ -207,7 +208,8 @@ def export_calibration(
         if option not in chosen_options:
             raise InputError(f"export to {name}: expected {_option_name(option)}, found none")
     exported = chosen.write(calibration, **chosen_options)
-    return replace(exported, losses=(*calibration.provenance.absent, *exported.losses))
+    doubts = (sentence for sentence in calibration.provenance.assumptions if sentence.startswith("doubt: "))
+    return replace(exported, losses=(*calibration.provenance.absent, *doubts, *exported.losses))
 
 
 def _option_name(name: str) -> str:

@@ -40,6 +40,7 @@ from tumble.export.exported import (
     triads,
 )
 from tumble.export.templates import front_of, render_layout
+from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.temperature_curves import Range, measured_range, rests_with_temperature, thermal_parameters
@@ -47,6 +48,7 @@ from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import OVER_TEMPERATURE, group_name
 from tumble.units import DEGREE, TESLA, Array
 
+LEAST_CHANGE = 1.0  # K, over which a slope is more than a drift in time
 MIN_CHANGE = 0.01  # offsets (m/s², rad/s) and changes of scale below this are ignored by some releases of PX4
 _HELD = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") for t in OVER_TEMPERATURE)
 """Groups of parameters in the targets over temperature."""
@@ -55,11 +57,11 @@ _HELD = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") for t in OVER
 class Autopilot(BaseModel):
     """Front matter of the layout of an autopilot.
 
-    `about`, `formula` and `source` describe the autopilot; `at_reference` and `of_gyros` are notes on the file. It
-    calibrates `imus` IMUs, and over temperature `compensated` IMUs; `thermometers` are groups of sensors with one
-    thermometer. Its polynomials are about the temperature `centre`, °C (None: the reference), with coefficients in
-    units of `worth`, SI. For a magnetometer: `unit` and `sign` of the offsets, their largest length, the range of the
-    diagonal, and the largest off-diagonal element."""
+    `about`, `formula` and `source` describe the autopilot; `at_reference` and `of_gyros` are notes on the file,
+    `rotation` is the parameter of the board's rotation. It calibrates `imus` IMUs, and over temperature `compensated`
+    IMUs; `thermometers` are groups of sensors with one thermometer. Its polynomials are about the temperature
+    `centre`, °C (None: the reference), with coefficients in units of `worth`, SI. For a magnetometer: `unit` and
+    `sign` of the offsets, their largest length, the range of the diagonal, and the largest off-diagonal element."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -67,6 +69,7 @@ class Autopilot(BaseModel):
     formula: str
     source: str
     at_reference: str
+    rotation: str
     of_gyros: str = ""
     imus: int
     compensated: int
@@ -251,13 +254,21 @@ def _autopilot(
     layout, thermal = PX4 if target.startswith("px4") else ARDUPILOT, target.endswith("-thermal")
     pilot = Autopilot(**front_of(layout))
     applied = _triads(pilot, target, calibration, imu, thermal=thermal)
+    measured = applied[0].measured
+    if measured is not None and (span := measured.high - measured.low) < LEAST_CHANGE:
+        raise InputError(
+            f"export to {target}: expected temperatures that span at least {LEAST_CHANGE:g} K, found {span:.1f} K, "
+            "over which a drift in time looks like a slope; record while it warms up, or export to "
+            f"{target.removesuffix('-thermal')}"
+        )
     ids: dict[str, int | None] = {kind: sensor.id for kind, sensor in calibration.imu.items()}
     ids |= {} if sensor_ids is None else dict(zip(("accel", "gyro"), sensor_ids, strict=True))
     signed = {kind: _signed(device) for kind, device in ids.items() if device is not None}
     both, remarks, see_to = signed if len(signed) == 2 else None, list[str](), list[str]()
     if imu is None and not calibration.imu:
         see_to.append(
-            "the calibration does not say which IMU it is of: these are parameters of the first, --imu N of another"
+            "the calibration does not say which IMU it is of: these are parameters of the first (--imu N of another), "
+            f"for readings before the board's rotation ({pilot.rotation})"
         )
     if pilot.of_gyros and "gyro" in (each.kind for each in applied):
         see_to.append(pilot.of_gyros)
@@ -273,7 +284,7 @@ def _autopilot(
     if layout == PX4 and small:
         see_to.append(
             "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: "
-            f"{', '.join(small)}; see `sensors status`"
+            f"{', '.join(small)}; if `sensors status` does not show them, update PX4"
         )
     compass, compass_remarks, lost = _compass(pilot, calibration)
     notes = notes_of(
@@ -304,8 +315,10 @@ def _thermal_advice(applied: Sequence[Triad], *, px4: bool, has_ids: bool) -> It
             f"to {errors}"
         )
     if (measured := applied[0].measured) is not None:
+        span = measured.high - measured.low
+        few = f" (only {span:.1f} K: warm it through the temperatures of its use)" if span < WIDE else ""
         yield (
-            f"outside {measured.low:.1f} to {measured.high:.1f} degC nothing was measured: the target keeps the "
+            f"outside {measured.low:.1f} to {measured.high:.1f} degC nothing was measured{few}: the target keeps the "
             "offsets of the nearer end"
         )
     if px4 and not has_ids:

@@ -17,6 +17,7 @@ from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.result.calibration import Calibration
 from tumble.result.correction import best_linear_model, correction_errors, session_rate
+from tumble.result.temperature_curves import measured_range
 from tumble.sensors.model import UNITS, WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import (
     FORCE,
@@ -33,6 +34,7 @@ MAGNETOMETER = "mag"
 """Matrix and bias of the magnetometer, as a group of parameters."""
 NEGLIGIBLE = 0.1  # relative to the u of a reading; it increases u by less than √(1 + 0.1²) − 1 = 0.5 %
 WARMING, HOUR = 10.0, 3600.0  # K and s, over which changes are stated
+MOST_STATED = 2  # effects of each kind of sensor, the largest, whose size is in a note
 HEATING_RATE = 1.0 / 60.0  # K/s, at which the effect of a lag is stated
 ROUNDING = 1e-6  # relative error of single precision, which is not stated
 
@@ -47,10 +49,13 @@ class Exported(Brief):
         The bytes of the file.
     losses
         Notes on what the format cannot hold.
+    reasons
+        Why a certificate in the file states that not everything passes.
     """
 
     content: bytes
     losses: tuple[str, ...]
+    reasons: tuple[str, ...] = ()
 
 
 def example_line(kind: SensorKind, reading: Array, true: Array, becomes: Array | None = None, where: str = "") -> str:
@@ -109,7 +114,8 @@ def origin(calibration: Calibration) -> list[str]:
         if readings is not None and readings.unit in ("count", "V"):
             scale, offset = (" ".join(f"{number:g}" for number in row) for row in (readings.scale, readings.offset))
             lines.append(f"{kind} readings in {UNITS[kind]} are (raw - offset) / scale: offset {offset}, scale {scale}")
-    return [one_line(line) for line in (*lines, *calibration.provenance.absent)]
+    doubts = (sentence for sentence in made_by.assumptions if sentence.startswith("doubt: "))
+    return [one_line(line) for line in (*lines, *made_by.absent, *doubts)]
 
 
 def one_line(text: str) -> str:
@@ -206,11 +212,9 @@ def _groups_not_held(calibration: Calibration, held: Container[str] = ()) -> lis
         lost = [g for g in groups() if g.kind == kind and g.regressors is None and not g.linear]
         lost = [g for g in lost if model is not None and g.name in present and g.name not in held]
         errors = sorted(((*_largest_effect(calibration, group), group) for group in lost), key=lambda each: -each[0])
-        out += [
-            f"{group.words.partition(',')[0]} ({in_units(group.kind, error)} {where})"
-            for error, where, group in errors
-            if error >= NEGLIGIBLE * u
-        ]
+        for place, (error, where, group) in enumerate(each for each in errors if each[0] >= NEGLIGIBLE * u):
+            size = f" ({in_units(group.kind, error)} {where})" if place < MOST_STATED else ""
+            out.append(group.words.partition(",")[0] + size)
     return [words.replace("−", "-") for words in out]
 
 
@@ -233,7 +237,9 @@ def _largest_effect(calibration: Calibration, group: ParameterGroup) -> tuple[fl
     if group.base is None:  # a lag, by its effect on the bias
         slopes = [abs(value) for name, value in values.items() if group_name(name) == f"{group.kind}.bias.t1"]
         return abs(float(members[0])) * HEATING_RATE * max(slopes, default=0.0), "at 1 K/min"
-    span, over = (HOUR, "after an hour") if group.variable == "time" else (WARMING, f"in {WARMING:.0f} K")
+    measured = measured_range(calibration)
+    warming = WARMING if measured is None else min(WARMING, measured.high - measured.low)  # no extrapolation
+    span, over = (HOUR, "after an hour") if group.variable == "time" else (warming, f"in {warming:.2g} K")
     if group.variable == "hysteresis":
         span, over = 1.0, "on the way up or down"
     power = 1 + THERMAL.index(group.variable) if group.variable in THERMAL else 1

@@ -386,10 +386,5 @@ def identifier(text: str) -> str:
     return name if name[:1].isalpha() else f"imu_{name}"
 
 
-_FILTERS: Mapping[str, Callable[..., str]] = {
-    "json": _as_json,
-    "yaml": _as_yaml,
-    "identifier": identifier,
-    "float32": _as_float32,
-}
+_FILTERS = {"json": _as_json, "yaml": _as_yaml, "identifier": identifier, "float32": _as_float32}
 """Filters for the bodies of templates, beside those of Jinja."""

@@ -146,7 +146,7 @@ def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], 
             values,
             covariance,
             gravity=observations.site.gravity,
-            rate=_usual_rate(fitted.linearisation.about),
+            rate=usual_rate(fitted.linearisation.about),
         ),
         linearised=linearisation.with_priors(problem).with_components(fitted.components),
         own=_local(fitted),
@@ -215,7 +215,7 @@ def _undetermined(covariance: Array) -> Array:
     return np.asarray(combinations[:, variance > DETERMINED**-2].T)
 
 
-def _usual_rate(about: IntegratedTurns | None) -> float | None:
+def usual_rate(about: IntegratedTurns | None) -> float | None:
     """Return the root mean square rate of the turns, rad/s; None without turns."""
     if about is None or not len(about.moments):
         return None

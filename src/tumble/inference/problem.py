@@ -57,7 +57,7 @@ from tumble.sensors.model import SensorModel, left_null_space
 from tumble.sensors.parameters import Variable, limits_of, sensor_kind, variable_of
 from tumble.units import Array, IntArray
 
-LEVER_COLUMNS, SUPPORT_COLUMNS = 3, 24  # unknowns of the lever from the pivot, and of `support_columns`
+LEVER_COLUMNS, SUPPORT_COLUMNS = 3, 32  # unknowns of the lever from the pivot, and of `support_columns`
 LEVER_U, SUPPORT_U = 0.5, 0.01  # m: standard deviations of their priors
 LEAST_FIELD = 1e-6  # smallest standard deviation of a magnetometer reading, relative to the field
 LAG_HELD = 1e-3  # s: prior standard deviation of a lag that is held fixed
@@ -146,18 +146,22 @@ def bases(attitudes: Array) -> Array:
 def support_columns(attitudes: Array) -> Array:
     """Return displacements of a device whose support bends with its attitude.
 
-    Arms bend and tripods sag. A motion that follows the attitude would otherwise be taken for scale factors and axes.
+    Tripods sag and arms bend. A motion that follows the attitude would otherwise be taken for scale factors and axes.
 
     Returns
     -------
     (M, 3, SUPPORT_COLUMNS)
         Displacements in the navigation frame per unit coefficient: in each axis, the components of the vertical u in
-        the body and the products u_k u_l, without the constant u·u.
+        the body and the products u_k u_l, without the constant u·u; and displacements in the body, as of an arm that
+        bends under its weight, of each axis by each component of u, without that of z by z, which follows from those
+        of x by x and y by y.
     """
     u = attitudes[:, 1]
     x, y, z = u.T
     by_vertical = np.stack([x, y, z, x * y, x * z, y * z, x * x - y * y, z * z - 1.0 / 3.0], axis=1)
-    return np.asarray(np.einsum("kr,mc->mkrc", np.eye(3), by_vertical).reshape(len(u), 3, SUPPORT_COLUMNS))
+    sagging = np.einsum("kr,mc->mkrc", np.eye(3), by_vertical).reshape(len(u), 3, -1)
+    bending = (attitudes[:, :, :, None] * u[:, None, None]).reshape(len(u), 3, 9)[:, :, :-1]
+    return np.concatenate([sagging, bending], axis=2)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from datetime import date
+from datetime import UTC, date, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -26,6 +26,7 @@ from tumble.errors import InputError
 from tumble.lab.limits import Limits, Occasion, read_limits
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.further import recording_dates
+from tumble.result.parts import SERIAL_NOT_STATED
 
 SCOPE_STATEMENT = (
     "This certificate relates only to the item described in it, in the state in which it was calibrated; it may be "
@@ -175,7 +176,15 @@ def check_certificate(certificate: Certificate, calibration: Calibration) -> Cal
     The item must be received before it is calibrated and calibrated before the certificate is issued, all recordings
     must be within the days of the calibration, and the calibration as found must be of the same device, in the same
     frame and recorded earlier. Returns the calibration as found, None without. Raises InputError."""
+    if any(note.startswith(SERIAL_NOT_STATED) for note in calibration.provenance.notes):
+        raise InputError(
+            f"certificate: expected the serial number of the device, found {calibration.serial!r}, the name of the "
+            "table of its readings; calibrate again with --serial"
+        )
     begin, end = certificate.days(calibration)
+    today = datetime.now(UTC).date() + timedelta(days=1)  # a day for time zones
+    if certificate.issued is not None and certificate.issued > today:
+        raise InputError(f"certificate: issued: expected a day that is not in the future, found {certificate.issued}")
     order = (("received", certificate.received), ("begin", begin), ("end", end), ("issued", certificate.issued))
     stated = [(name, day) for name, day in order if day is not None]
     for (earlier, first), (later, second) in pairwise(stated):

@@ -112,7 +112,7 @@ class Verdict:
 def judge_calibration(calibration: Calibration, limits: Limits) -> list[Verdict]:
     """Judge a calibration in each check that has limits.
 
-    If only its accelerometers or only its gyros are accepted, the others count as not determined. Raises
+    Sensors that are not accepted count as not determined. Raises
     CalibrationError if it cannot be converted to the frame of the limits."""
     judged = (judge_check(calibration, limits, occasion) for occasion in OCCASIONS)
     return [verdict for verdict in judged if verdict is not None]
@@ -120,10 +120,14 @@ def judge_calibration(calibration: Calibration, limits: Limits) -> list[Verdict]
 
 def judge_check(calibration: Calibration, limits: Limits, occasion: Occasion) -> Verdict | None:
     """Judge a calibration in one check; None if that has no limits. Raises as `judge_calibration`."""
-    if len(accepted_kinds(calibration)) == 1:
+    accepted = accepted_kinds(calibration)
+    if len(accepted) == 1:
         calibration = accepted_part(calibration)
     calibration = calibration.in_frame(limits.frame)
-    return judge_parameters(limits, occasion, calibration.parameters, calibration.outcome.unobservable)
+    unobservable = calibration.outcome.unobservable
+    if not accepted:
+        return judge_parameters(limits, occasion, (), (*calibration, *unobservable))
+    return judge_parameters(limits, occasion, calibration.parameters, unobservable)
 
 
 def judge_parameters(

@@ -35,6 +35,7 @@ from tumble.lab.certificate import (
     read_certificate,
 )
 from tumble.lab.conformity import DECISION_RULE, RISK_DEFINITION, Verdict, judge_calibration
+from tumble.lab.report import statement_of_priors
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
@@ -44,6 +45,7 @@ from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array
 from tumble.views.render.pages import escaping_environment
+from tumble.views.report.result import contents_of_u, scope_of_u
 
 LOSSES = (
     "the file is neither signed nor sealed: sign it with the laboratory's tools",
@@ -96,11 +98,14 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
         days=certificate.days(calibration),
         state=STATES[certificate.state],
         device=calibration.device,
-        declarations=[SCOPE_STATEMENT, *certificate.remarks],
-        traced="; ".join((*certificate.traceability, *circumstances.equipment)),
+        declarations=[*filter(None, [statement_of_priors(calibration)]), SCOPE_STATEMENT, *certificate.remarks],
+        traced="; ".join(certificate.traceability or circumstances.equipment),
+        standards={_head(each) for each in circumstances.equipment}
+        & {_head(each) for each in certificate.traceability},
+        contents_of_u=f"{scope_of_u(calibration)} {contents_of_u(calibration)}",
         origin="; ".join(origin(calibration)),
         method=calibration.method,
-        equipment=circumstances.equipment,
+        equipment=[(each, _head(each)) for each in circumstances.equipment],
         conditions=_conditions(calibration),
         probability=f"{PROBABILITY:g}",
         parameters=[_parameter(p, same_frame) for p in inertial],
@@ -108,7 +113,11 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
         statements=[_conformity(verdict, certificate.agreed) for verdict in checks],
     )
     lines = (line.strip() for line in content.splitlines())
-    return Exported(content="\n".join(filter(None, lines)).encode() + b"\n", losses=losses)
+    return Exported(
+        content="\n".join(filter(None, lines)).encode() + b"\n",
+        losses=losses,
+        reasons=tuple(f"{each.occasion} check: {'; '.join(each.reasons)}" for each in checks if each.result != "pass"),
+    )
 
 
 TARGET = Target(
@@ -119,6 +128,12 @@ TARGET = Target(
     ending=".xml",
 )
 """Target of `tumble export --to dcc`."""
+
+
+def _head(equipment: str) -> str:
+    """Return the quantity of "gravity: network point 4711"; empty without one."""
+    quantity, colon, _ = equipment.partition(":")
+    return quantity if colon else ""
 
 
 def _conditions(calibration: Calibration) -> list[dict[str, Any]]:
@@ -145,7 +160,8 @@ def _conformity(verdict: Verdict, agreed: str | None) -> dict[str, Any]:
         "name": f"{verdict.occasion} check against acceptance limits",
         "agreed": agreed and f"limits and decision rule as agreed: {agreed}",
         "norm": "ILAC-G8:09/2019",
-        "declaration": f"{DECISION_RULE}. {RISK_DEFINITION}.{verdict.risk_sentence}",
+        "declaration": f"{'; '.join((verdict.result, *verdict.reasons))}. {DECISION_RULE}. {RISK_DEFINITION}."
+        f"{verdict.risk_sentence}",
         "conformity": _CONFORMITY.get(verdict.result),
     }
 
@@ -166,9 +182,11 @@ def _parameter(parameter: Parameter, verdicts: Sequence[Verdict]) -> dict[str, A
     if parameter.u is not None:
         known, dof = "u is known (infinite degrees of freedom)", parameter.dof
         basis = known if dof is None else f"u was estimated with {dof:.3g} degrees of freedom"
+    deviation = parameter.run_to_run
+    spread = [] if deviation is None else [f"standard deviation from launch to launch {deviation:.2g} {parameter.unit}"]
     return {
         "name": parameter.name,
-        "words": "; ".join(filter(None, (parameter_words(parameter.name), basis))),
+        "words": "; ".join(filter(None, (parameter_words(parameter.name), basis, *spread))),
         "quantity": _real(parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter)),
         "statements": statements,
     }

@@ -10,7 +10,7 @@ import base64
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, takewhile
 from pathlib import Path
 from typing import Literal
 
@@ -36,9 +36,9 @@ from tumble.lab.conformity import (
     risk_text,
 )
 from tumble.lab.limits import Limits, read_limits
+from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import expanded
-from tumble.result.further import remarks
+from tumble.result.further import recording_dates, remarks
 from tumble.result.parts import Parameter
 from tumble.result.uncertainty_budget import shares_of_priors
 from tumble.views.blocks import Block, Document, Letterhead, Part, Section, Signature, Table, Text, Tone, section
@@ -50,8 +50,8 @@ from tumble.views.numbers import (
     limit_cell,
     percent,
     quantity_table,
-    to_digits_of,
     units_of_values,
+    with_expanded,
 )
 from tumble.views.report.document import (
     ReportedFile,
@@ -79,7 +79,7 @@ TONES: Mapping[Result, Tone] = {
 _RULE = f"{DECISION_RULE[0].upper()}{DECISION_RULE[1:]}. {RISK_DEFINITION[0].upper()}{RISK_DEFINITION[1:]}."
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
 _FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
-"""Marks of clauses with keys, commands, options or advice, which are left out of certificates."""
+"""Marks of clauses with keys, commands, options or advice, which are left out of certificates with what follows."""
 
 
 def write_judged_report(
@@ -114,6 +114,9 @@ def write_certificate(
     as_found = check_certificate(stated, calibration)
     checks = [] if acceptance is None else judge_calibration(calibration, acceptance)
     verdict, tone = verdict_on([calibration])
+    laboratory = stated.laboratory
+    if not accepted_kinds(calibration):  # values that must not be used are not certified under accreditation
+        laboratory = laboratory.model_copy(update={"code": None})
     document = Document(
         title="Calibration certificate",
         device=device_name(calibration.serial, calibration.model),
@@ -126,7 +129,7 @@ def write_certificate(
         signatures=tuple(Signature(name=person.name, role=person.role or "") for person in stated.person),
         closing=f"End of the certificate {stated.number}",
         number=stated.number,
-        letterhead=letterhead(stated.laboratory),
+        letterhead=letterhead(laboratory),
     )
     return _write(document, out, sources, [checks])
 
@@ -187,26 +190,37 @@ def _sections(
     source: ReportedFile, acceptance: Limits | None, checks: Sequence[Verdict], as_found: Calibration | None
 ) -> Iterator[Section]:
     """Yield the sections of a certificate. Its table of parameters adds coverage factor, degrees of freedom and the
-    value as found."""
+    value as found with its U."""
     calibration = source.calibration
 
     def extra_columns(p: Parameter, size: float) -> dict[str, str]:
         row = {"k": factor(p), "ν": degrees(p)}
         if as_found is not None:
-            before = as_found[p.name].value if p.name in as_found else None
-            row["as found"] = to_digits_of(before, expanded(p), size)
+            before = with_expanded(as_found[p.name], size) if p.name in as_found else ("", "")
+            row |= dict(zip(("as found", "U as found"), before, strict=True))
         return row
 
-    yield section("Result", *verdict_blocks(calibration), *value_blocks(calibration, extra_columns))
+    found = [] if as_found is None else [_as_found_text(as_found, acceptance)]
+    yield section("Result", *verdict_blocks(calibration), *value_blocks(calibration, extra_columns), *found)
     if acceptance is not None:
         yield limits_section(acceptance, checks)
     clauses = (
-        "; ".join(clause for clause in note.split("; ") if not any(mark in clause for mark in _FOR_THE_OPERATOR))
+        "; ".join(takewhile(lambda clause: not any(mark in clause for mark in _FOR_THE_OPERATOR), note.split("; ")))
         for note in (*calibration.provenance.assumptions, *calibration.provenance.notes)
     )
     further = (notes(*remarks(calibration), *filter(None, clauses)), *annexes(calibration, "c", short=True))
     yield from (each for each in further if each is not None)
     yield provenance(source)
+
+
+def _as_found_text(as_found: Calibration, acceptance: Limits | None) -> str:
+    """Return a sentence with the dates and verdicts of the calibration before an adjustment."""
+    days = list(dict.fromkeys(moment[:10] for moment in recording_dates(as_found)))
+    judged = [] if acceptance is None else judge_calibration(as_found, acceptance)
+    verdicts = [verdict_on([as_found])[0]]
+    verdicts += [f"{each.occasion} check: {'; '.join(each.reasons) or each.result}" for each in judged]
+    recorded = f"recorded {' and '.join(days)}" if days else "recorded on a day that is not stated"
+    return f"As found: {recorded}, method {as_found.method}; {', '.join(verdicts)}."
 
 
 def letterhead(laboratory: Party) -> Letterhead:
@@ -233,11 +247,11 @@ def _statements(certificate: Certificate, calibration: Calibration, checks: Sequ
     agreed = f" Agreed beforehand: {certificate.agreed}." if certificate.agreed else ""
     rule = f"{_RULE}{agreed}{''.join(check.risk_sentence for check in checks)}" if certificate.limits else ""
     traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
-    stated = (rule, _statement_of_priors(calibration), traced, *certificate.remarks, SCOPE_STATEMENT)
+    stated = (rule, statement_of_priors(calibration), traced, *certificate.remarks, SCOPE_STATEMENT)
     return tuple(filter(None, stated))
 
 
-def _statement_of_priors(calibration: Calibration) -> str:
+def statement_of_priors(calibration: Calibration) -> str:
     """Return a sentence on the basis of the priors and their shares of u² by parameter group; empty without any."""
     clauses = []
     for basis, shares in shares_of_priors(calibration).items():

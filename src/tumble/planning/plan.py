@@ -104,8 +104,8 @@ class Plan(Brief):
         g, usual = self.setup.gravity, UNKNOWN_HEIGHT_GRAVITY_U
         return (
             *(() if self.motion is None else (self.motion.assumption,)),
-            f"the session states gravity, or height, to {1e6 * self.setup.gravity_u / g:.2g} ppm of accel.scale "
-            f"(--gravity-u); where it states neither, {1e6 * usual / g:.0f} ppm are in u",
+            f"the session states gravity to {1e6 * self.setup.gravity_u / g:.2g} ppm (--gravity-u); where it states "
+            f"neither gravity nor height, {1e6 * usual / g:.0f} ppm are in u of accel.scale",
             f"its time base is known to {1e6 * self.setup.clock_u:.3g} ppm of gyro.scale (--clock-ppm-u); a sample "
             f"rate without time stamps to {100.0 * USUAL_RATE_U:.0f} % unless that is stated",
         )

@@ -108,10 +108,8 @@ def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
             readings = readings_of(kind, given[kind])
             sensors[kind] = readings.shape[1]
             if sensors[kind] > 3 and f"{kind}_axes" not in given:
-                raise InputError(
-                    f"{kind}: expected three columns, found {sensors[kind]}; choose three without times, or give "
-                    f"{kind}_axes= for {sensors[kind]} sensors"
-                )
+                given_columns = f"{sensors[kind]}; choose three without times, or give {kind}_axes= as well"
+                raise InputError(f"{kind}: expected three columns, found {given_columns}")
             columns = _columns(kind, sensors[kind])
             axes = {"axes": array_of("axes", given[f"{kind}_axes"]).tolist()} if f"{kind}_axes" in given else {}
             log[kind] = {"columns": columns, "unit": SI[kind][0], **axes}

@@ -28,6 +28,7 @@ from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import is_parameter
 from tumble.units import Array
 
+SERIAL_NOT_STATED = "the serial number is not stated"  # begin of a note, with which no certificate is issued
 MOST_PARAMETERS, MOST_RESTS, MOST_LAUNCHES = 1000, 100_000, 1000
 LARGEST, LEAST = 1e60, 1e-60  # largest number of a file, and smallest uncertainty other than zero
 

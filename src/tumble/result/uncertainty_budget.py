@@ -4,7 +4,9 @@ u² = Σ c_s² u_s² over independent sources, as EA-4/02 lists them: the estima
 uncertainty u_s and distribution, the sensitivity |c_s| = contribution/u_s, the contribution |c_s| u_s and its share of
 u². The reference standards, gravity, the Earth's rate and the time base, have a line even if they contribute nothing.
 All other input quantities are errors with the estimate 0. A source of several quantities, such as the limits of all
-biases, scale factors and angles, enters as one correction of the parameter: u_s is its contribution, c_s is 1.
+biases, scale factors and angles, enters as one correction of the parameter: u_s is its contribution, c_s is 1. In the
+mean of L launches the changes from launch to launch have u_s = s/√L with L − 1 degrees of freedom, which U uses
+(`tumble.result.coverage`), and contribute the part of s²/L that exceeds the launches' own noise.
 
 Source: EA-4/02 M:2022, section 4; JCGM 100:2008 (GUM), 5.1 and G.4.
 """
@@ -79,19 +81,22 @@ def uncertainty_budget(calibration: CalibrationData, name: str) -> tuple[BudgetL
     parameter = calibration[name]
     if not calibration.evidence.budget:
         raise CalibrationError(
-            f"calibration of {calibration.serial}: expected one with its budget, found one that was turned into the "
-            f"frame {calibration.frame!r}, or made by hand; calibrate again with this --frame"
+            f"calibration of {calibration.serial}: expected one with its budget, found none: it states no u, was "
+            f"made by hand, or was converted to the frame {calibration.frame!r}; calibrate again with this --frame"
         )
     site, lines = calibration.provenance.site, list[BudgetLine]()
     estimates = {"earth": EARTH_RATE, "gravity": 0.0 if site is None else site.gravity}
     for each in with_references(calibration):
         contribution = each.contributions.get(name, 0.0)
-        if contribution == 0.0 and each.name not in REFERENCES[sensor_kind(name)]:
+        u = contribution if each.u is None else each.u
+        if each.name == "launches":
+            u = (parameter.run_to_run or 0.0) / sqrt(1.0 + (each.dof or 0.0))
+        elif contribution == 0.0 and each.name not in REFERENCES[sensor_kind(name)]:
             continue
         line = BudgetLine.of(
-            replace(each, u=contribution, unit=parameter.unit) if each.u is None else each,
+            replace(each, u=u, unit=parameter.unit if each.u is None else each.unit),
             estimate=0.0 if each.u is None else estimates.get(each.name, 0.0),
-            sensitivity=contribution / each.u if each.u else float(each.u is None),
+            sensitivity=contribution / u if u else float(each.u is None),
             contribution=contribution,
             share=(contribution / (parameter.u or np.inf)) ** 2,
         )

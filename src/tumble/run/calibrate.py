@@ -10,14 +10,14 @@ from datetime import UTC, datetime
 from functools import partial
 from importlib import import_module
 from types import MappingProxyType
-from typing import Literal, Unpack, get_args
+from typing import Any, Literal, Unpack, get_args
 
 import numpy as np
 
 from tumble import __version__
 from tumble.arguments import checked
 from tumble.diagnosis import linear_model
-from tumble.diagnosis.in_motion import motion_note
+from tumble.diagnosis.in_motion import improves, motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
 from tumble.diagnosis.undetermined import one_attitude
@@ -39,10 +39,9 @@ from tumble.result.calibration import Calibration, calibration_from, read_calibr
 from tumble.result.parts import Provenance
 from tumble.rotation import UP
 from tumble.run.from_estimate import build_calibration, gap_notes, mean_temperature, refused_calibration
-from tumble.run.observed import Progress, inspected, observations_for_calibration
+from tumble.run.observed import Observed, Progress, grade_of, inspected, observations_for_calibration
 from tumble.run.warming import calibrate_warming, is_still
 from tumble.sensors.frames import Convention, Frame
-from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import Terms, prior_sizes, usual_sizes
 from tumble.units import G_STANDARD
@@ -51,7 +50,6 @@ _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
-OTHER_GRADE_NOISE = 10.0  # ratio to the usual white noise of a grade; within a grade noise differs by a factor of 3
 CLOCK_CONTRADICTED = 3.0  # u of the time base; a larger error of the clock is a remark instead of a note
 
 
@@ -132,9 +130,6 @@ def calibrate(
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder)
     <Calibration of mems-1: joint, 51 parameters, accepted>
-
-    Of arrays, latitude in rad:
-
     >>> import polars as pl
     >>> log = pl.read_parquet(folder / "log.parquet")
     >>> accel, gyro = log.select("ax", "ay", "az").to_numpy(), log.select("gx", "gy", "gz").to_numpy()
@@ -215,7 +210,7 @@ def _calibrated(
         if isinstance(observations, Outcome):
             result: tuple[Estimate, Observations] | Outcome = observations
         else:
-            result = estimate_observations(session, observations, *options)
+            result, observations = _estimate_of_rests_or_motion(observed, observations, options)
     if clock is None and not isinstance(result, Outcome) and (clock := clock_by_earth(result[0])) is not None:
         log = replace(session.log, clock_rate=session.log.clock_rate * clock.rate, clock_u=clock.u)
         repeated = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, base, clock)
@@ -240,8 +235,7 @@ def _calibrated(
             accel_result = estimate_observations(session, observations.of_accelerometers(), *options)
             if not isinstance(accel_result, Outcome):
                 accel_only = build_calibration(session, *accel_result, systematic, frame, provenance, bridged)
-                missing = any(name.startswith("accel") for name in accel_only.outcome.unobservable)
-                if accel_only.outcome.accel.accepted and not missing:
+                if accel_only.outcome.accel.accepted and accel_only.accel is not None:
                     reasons = calibration.outcome.gyro.reasons
                     because = (f"{reason}; the accelerometers are estimated alone" for reason in reasons)
                     result, calibration, faults = accel_result, accel_only, (*because, *faults)
@@ -272,6 +266,20 @@ def _calibrated(
     for sentence in (*calibration.provenance.notes, *calibration.outcome.remarks, *calibration.outcome.reasons):
         _LOG.info("%s: %s", session.name, sentence)
     return calibration
+
+
+def _estimate_of_rests_or_motion(
+    observed: Observed, observations: Observations, options: tuple[Any, ...]
+) -> tuple[tuple[Estimate, Observations] | Outcome, Observations]:
+    """Return the estimate from observations, with these; from rests and turns if motion is no better than they are."""
+    result = estimate_observations(observed.session, observations, *options)
+    if observations.links is not None and len(observations.rests):
+        at_rest = observations_for_calibration(observed, joint=True, motion=False)
+        if isinstance(at_rest, Observations):
+            by_rests = estimate_observations(observed.session, at_rest, *options)
+            if isinstance(result, Outcome) or not (isinstance(by_rests, Outcome) or improves(result[0], by_rests[0])):
+                return by_rests, at_rest
+    return result, observations
 
 
 def _with(
@@ -323,30 +331,6 @@ def with_grade(session: Session, observations: Observations) -> Observations:
         drift={kind: usual[f"{kind}.bias.drift"] for kind in ("accel", "gyro") if f"{kind}.bias.drift" not in sizes},
         notes=(*observations.notes, note + origin),
     )
-
-
-def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
-    """Return the grade of a session's device, and the evidence if it was guessed, or "" if it was stated.
-
-    It is guessed if none is stated, or if the recording contradicts the stated grade: the guess is a poorer grade, and
-    the noise exceeds OTHER_GRADE_NOISE times that of the stated grade, or gyro biases are too large for it."""
-    rests, links = observations.rests, observations.links
-    white = {  # median noise density, SI/√Hz: at rest, or in motion without rests
-        kind: float(np.median(noise))
-        for kind, noise in (("accel", rests.accel_noise), ("gyro", rests.gyro_noise))
-        if noise.size
-    }
-    if links is not None and not len(rests):
-        white = {"accel": links.accel_density**0.5, "gyro": links.gyro_density**0.5}
-    bias = float(np.abs(np.median(rests.gyro, axis=0)).max()) if "gyro" in white and len(rests) else 0.0
-    guess, because = guessed_grade(white["accel"], white.get("gyro"), bias)
-    stated, order = session.device.grade, list(GRADES)
-    if stated is None:
-        return guess, because
-    kind = "gyro" if "gyro" in white else "accel"
-    noisier = white[kind] > OTHER_GRADE_NOISE * getattr(grade_named(stated).noise, f"{kind}_white")
-    poorer = order.index(guess) > order.index(stated)
-    return (guess, because) if poorer and (noisier or because != "the noise") else (stated, "")
 
 
 def estimate_observations(

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tumble.diagnosis.undetermined import faces_alone
-from tumble.diagnosis.verdict import doubtful_gravity, verdict
+from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.variables import RAMP_RANGE, at_two_temperatures, over_a_range, ramps_up_and_down
@@ -109,7 +109,7 @@ def build_calibration(
             readings=readings_of_session(session),
             notes=(
                 *(*bridged, *exclusion_notes(session.excluded)),
-                *(*observations.notes, *doubtful_gravity(observations.site)),
+                *observations.notes,
                 *_fit_notes(estimate, observations),
                 *thermal_notes,
                 *([] if case is None else [_case_note(case)]),

@@ -36,7 +36,8 @@ from tumble.methods.group_sizes import with_groups
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
-from tumble.result.parts import CalibratedDevice, Evidence, Readings
+from tumble.result.parts import SERIAL_NOT_STATED, CalibratedDevice, Evidence, Readings
+from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import new_provenance
 from tumble.run.case import estimate_in
 from tumble.run.from_estimate import build_parameters, prior_fields
@@ -54,7 +55,7 @@ from tumble.run.readings_table import (
 from tumble.sensors.frames import Convention, Frame, convert, frame_of
 from tumble.sensors.grades import GRADES
 from tumble.sensors.grades import grade as grade_named
-from tumble.sensors.parameters import FURTHER, Terms, prior_sizes
+from tumble.sensors.parameters import FURTHER, Terms, group_name, prior_sizes
 from tumble.units import Array, engineering, fitting_units, is_near_one
 
 SCATTER_REMARK = 1e-3  # relative to gravity; good instruments scatter less unless their readings have few digits
@@ -188,6 +189,11 @@ def calibrate_readings(
     has_u, learned = fit is None or fit.covariance is not None, {} if estimate is None else prior_fields(estimate)
     if estimate is not None and frame != "accelerometer":
         estimate, _ = estimate_in(frame, estimate, _rests(table, nominal, np.zeros((3, 3))))
+    budget, by = None if estimate is None or not has_u else estimate.budget, "grades that the residuals allow"
+    if grade is not None or fit is None:
+        by = f"{'stated' if grade is not None else 'guessed'} grade {grade or [*GRADES][-1]}"
+    basis = {} if estimate is None else dict.fromkeys(map(group_name, estimate.names), by)
+    unstated = (f"{SERIAL_NOT_STATED}: the name of the table stands for it",) if serial is None else ()
     determined = np.flatnonzero([] if estimate is None else estimate.observable)
     parameters = () if estimate is None else build_parameters(estimate, determined, {}, learned)
     # scatter estimated from single rows contains the uncertainty of a row
@@ -211,12 +217,15 @@ def calibrate_readings(
         outcome=outcome,
         groups=() if estimate is None else estimate.groups,
         prediction=None if estimate is None else estimate.prediction,
-        evidence=Evidence(fits={} if fit is None else {"accelerometers": fit.fit("m/s^2")}),
+        evidence=Evidence(
+            fits={} if fit is None else {"accelerometers": fit.fit("m/s^2")},
+            budget=contributions_of(budget, () if estimate is None else estimate.names, basis),
+        ),
         provenance=replace(
             new_provenance(table.sha256),
             site=replace(_site(nominal), gravity_is_unit=nominal.gravity_u is None),
             readings={"accel": meaning},
-            notes=(*table.left_out, *_notes(table, nominal, fit), *notes),
+            notes=(*unstated, *table.left_out, *_notes(table, nominal, fit), *notes),
         ),
     )
     return ReadingsCalibration(calibration=calibration, table=table, nominal=nominal, fit=fit)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 import numpy as np
+import scipy
 
 from tumble.arguments import checked
 from tumble.errors import InputError
@@ -28,7 +29,13 @@ from tumble.recording.log import Log
 from tumble.recording.session import AirConditions, Circumstances, Session
 from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import degrees_of_mean, gravity_sensitivity, shared_gravity, welch_satterthwaite
+from tumble.result.coverage import (
+    MANY_DEGREES,
+    degrees_of_mean,
+    gravity_sensitivity,
+    shared_gravity,
+    welch_satterthwaite,
+)
 from tumble.result.launch_variances import at_temperature
 from tumble.result.parts import CalibratedTemperature, Evidence, Parameter, SourceContributions, learned_fraction
 from tumble.result.shared_errors import is_device_property, prior_sensitivities
@@ -37,12 +44,22 @@ from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, new_provenan
 from tumble.run.magnetometer import PARAMETER_NAMES
 from tumble.run.observed import Progress
 from tumble.sensors.frames import Convention, Frame, frame_of
+from tumble.sensors.grades import TURN_ON, guessed_grade, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.model import Block, SensorModel
-from tumble.sensors.parameters import Terms, Variable, beyond_linear, group_name, positions_by_group
-from tumble.units import Array
+from tumble.sensors.parameters import (
+    Terms,
+    Variable,
+    beyond_linear,
+    group_name,
+    positions_by_group,
+    sensor_kind,
+    shown_in,
+)
+from tumble.units import Array, two_digits
 
 _Any = TypeVar("_Any")
+DIFFERING_CHANCE = 1e-4  # probability of differences between launches of one device, below which they are remarked
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -159,7 +176,10 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
         mag=None if first.mag is None else _mean_model("accelerometer", block_near(first.mag.matrix), by_name),
         outcome=Outcome(
             reasons=tuple(f"{run.name}: {reason}" for run in runs for reason in run.calibration.outcome.reasons),
-            remarks=tuple(f"{run.name}: {remark}" for run in runs for remark in run.calibration.outcome.remarks),
+            remarks=(
+                *_differing_launches(runs, parameters, covariances),
+                *(f"{run.name}: {remark}" for run in runs for remark in run.calibration.outcome.remarks),
+            ),
             unobservable=tuple(dict.fromkeys(name for launch in launches for name in launch.outcome.unobservable)),
             concerns={f"{run.name}: {s}": on for run in runs for s, on in run.calibration.outcome.concerns.items()},
         ),
@@ -261,6 +281,50 @@ def _mean_parameters(
             )
         )
     return tuple(parameters), covariance, within
+
+
+def _differing_launches(
+    runs: Sequence[LaunchRun], parameters: Sequence[Parameter], covariances: Array
+) -> Iterator[str]:
+    """Yield a remark if launches differ by more than power-ons of one device of its grade, and their u, explain.
+
+    For a parameter of the linear model s²/(s_g² + n²) has an F distribution, with the usual s_g from power-on to
+    power-on of the grade and the u of a launch, n. The least probability is multiplied by the number of parameters."""
+    launches = [run.calibration for run in runs]
+    white = {kind: _median_noise(launches, kind) for kind in ("accel", "gyro")}
+    grade = runs[0].session.device.grade
+    if grade is None and white["accel"] is not None:
+        grade, _ = guessed_grade(white["accel"], white["gyro"])
+    if grade is None:
+        return
+    tested = list[tuple[float, float, Parameter]]()
+    for p, u_squared in zip(parameters, np.diagonal(covariances, axis1=1, axis2=2).mean(axis=0).tolist(), strict=True):
+        kind = sensor_kind(p.name)
+        if beyond_linear(p.name) or kind not in white or not all(each.outcome.of(kind) for each in launches):
+            continue
+        usual = spread_of(TURN_ON[grade], p.name) ** 2
+        fewest = min((dof for each in launches if (dof := each[p.name].dof) is not None), default=None)
+        degrees = welch_satterthwaite([(usual, None), (u_squared, fewest)]) or MANY_DEGREES
+        ratio = (p.run_to_run or 0.0) ** 2 / (usual + u_squared)
+        tested.append((float(scipy.special.fdtrc(len(runs) - 1, degrees, ratio)), ratio, p))
+    if not tested:
+        return
+    chance, ratio, p = min(tested, key=lambda each: (each[0], -each[1]))
+    if len(tested) * chance < DIFFERING_CHANCE:
+        size, unit = shown_in(p.name, p.unit, spread_of(TURN_ON[grade], p.name))
+        yield (
+            f"the launches differ by more than power-ons and noise of one device: {p.name} has a standard deviation of "
+            f"{two_digits((p.run_to_run or 0.0) / size)} {unit} from launch to launch, {ratio**0.5:.1f} times what is "
+            f"usual for the grade {grade}, by chance with probability {len(tested) * chance:.1g}: another device under "
+            "this serial number, or it was changed or much warmer between the launches; calibrate each launch alone"
+        )
+
+
+def _median_noise(launches: Sequence[Calibration], kind: str) -> float | None:
+    """Return the median noise density at rest of a kind of sensors, SI/√Hz; None without rests."""
+    at_rest = (getattr(rest, kind) for each in launches for rest in each.evidence.rests)
+    noise = [each.noise for each in at_rest if each is not None]
+    return float(np.median(noise)) if noise else None
 
 
 def _mean_budget(

@@ -43,6 +43,9 @@ from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rest
 from tumble.reduction.turns.links import links_of
 from tumble.reduction.turns.turns import torn_turns, without_ambiguous_turns
 from tumble.rotation import onto_body
+from tumble.sensors.grades import GRADES, guessed_grade
+from tumble.sensors.grades import grade as grade_named
+from tumble.sensors.parameters import usual_sizes
 from tumble.units import DEGREE, IntArray
 
 Progress = Callable[[Log], Iterable[Chunk]]
@@ -103,6 +106,7 @@ class Observed(Judged):
         return self.reduction.rate
 
 
+OTHER_GRADE_NOISE = 10.0  # ratio to the usual white noise of a grade; within a grade noise differs by a factor of 3
 REJECTED_RESTS_RATIO = 2  # rests rejected by the gyros per rest found, above which the gyros are faulty
 LARGEST_SQUARED = 1e100  # SI; sums of products of larger numbers overflow
 
@@ -173,11 +177,12 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
             trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
     gyro_faults = list[str]()
     if trial is not None and not faults:
-        faults = vertical_faults(trial, session, reduction.rate)
+        by_grade = usual_sizes(grade_of(session, trial)[0], session.device.prior)
+        faults = vertical_faults(trial, session, reduction.rate, by_grade["gyro.g_sensitivity"])
         if faults or rejected:
             gyro_faults = high_passed(reduction, segmentation.rests) or ([rejected] if rejected and not faults else [])
         if gyro_faults:
-            faults = vertical_faults(trial.of_accelerometers(), session, reduction.rate)
+            faults = vertical_faults(trial.of_accelerometers(), session, reduction.rate, 0.0)
     if session.log.gyro is not None and not faults and not gyro_faults:
         gyro_faults = dead_zones(reduction, segmentation.rests, session.log.gyro)
     return Observed(
@@ -196,6 +201,30 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
     )
 
 
+def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
+    """Return the grade of a session's device, and the evidence if it was guessed, or "" if it was stated.
+
+    It is guessed if none is stated, or if the recording contradicts the stated grade: the guess is a poorer grade, and
+    the noise exceeds OTHER_GRADE_NOISE times that of the stated grade, or gyro biases are too large for it."""
+    rests, links = observations.rests, observations.links
+    white = {  # median noise density, SI/√Hz: at rest, or in motion without rests
+        kind: float(np.median(noise))
+        for kind, noise in (("accel", rests.accel_noise), ("gyro", rests.gyro_noise))
+        if noise.size
+    }
+    if links is not None and not len(rests):
+        white = {"accel": links.accel_density**0.5, "gyro": links.gyro_density**0.5}
+    bias = float(np.abs(np.median(rests.gyro, axis=0)).max()) if "gyro" in white and len(rests) else 0.0
+    guess, because = guessed_grade(white["accel"], white.get("gyro"), bias)
+    stated, order = session.device.grade, list(GRADES)
+    if stated is None:
+        return guess, because
+    kind = "gyro" if "gyro" in white else "accel"
+    noisier = white[kind] > OTHER_GRADE_NOISE * getattr(grade_named(stated).noise, f"{kind}_white")
+    poorer = order.index(guess) > order.index(stated)
+    return (guess, because) if poorer and (noisier or because != "the noise") else (stated, "")
+
+
 def _observed(session: Session, reduction: Reduction, rests: tuple[Stretch, ...]) -> Observations | None:
     """Return the observations of rests; None without rests, or for numbers beyond LARGEST_SQUARED."""
     channels = (*reduction.accel_channels, *reduction.gyro_channels)
@@ -204,13 +233,15 @@ def _observed(session: Session, reduction: Reduction, rests: tuple[Stretch, ...]
     return observe(reduction, rests, session.accel_block, session.gyro_block, session.site)
 
 
-def observations_for_calibration(observed: Observed, *, joint: bool = False) -> Observations | Outcome:
+def observations_for_calibration(
+    observed: Observed, *, joint: bool = False, motion: bool = True
+) -> Observations | Outcome:
     """Return the positions of a session's programme (all rests without one), or an Outcome with the reason for none.
 
-    For the method `joint` these include the motion of a device with few rests, gyros whose biases jump, and the
-    magnetometer. Faulty gyros are left out. Raises ProgrammeError for a recording that does not follow the programme.
-    """
-    if joint and (moving := _in_motion(observed)) is not None:
+    For the method `joint` these include gyros whose biases jump, the magnetometer and, if `motion`, the motion of a
+    device with few rests. Faulty gyros are left out. Raises ProgrammeError for a recording that does not follow the
+    programme."""
+    if joint and motion and (moving := _in_motion(observed)) is not None:
         return moving
     matched = _matched(observed)
     if isinstance(matched, Outcome):

@@ -21,6 +21,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ from tumble.documents import check_regular
 from tumble.earth import NORMAL_GRAVITY_U
 from tumble.errors import InputError
 from tumble.recording.columns.names import columns_by_name
+from tumble.recording.formats import is_recording
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
@@ -42,6 +44,7 @@ EARTH_GRAVITY = (9.7, 9.9)  # m/s², range on Earth
 LARGEST_GRAVITY_U = 0.1  # m/s², more than gravity varies on Earth
 LARGEST = 1e30  # of a reading; powers of larger numbers overflow
 COPIES_SHOWN = 3
+_FEWEST_SAMPLES = 50  # rows of a log
 RAW = ("V", "count")
 UNITS = {name: ACCEL_UNITS[name].factor for name in ("g", "m/s^2")}
 """Units of a reading, and of the input in a scale, with their sizes in m/s²."""
@@ -83,6 +86,20 @@ def table_of(readings: Array) -> ReadingsTable:
         raise InputError(f"--readings: expected an array (N, 3), a row per position, found the shape {readings.shape}")
     rows = [",".join(map(repr, row)) for row in readings.tolist()]
     return _parsed(Path("readings"), "\n".join(["x,y,z", *rows]))
+
+
+def is_table(path: Path) -> bool:
+    """Return whether a file is a table of readings, one row per position, and no log.
+
+    A log is a recording in another format, or has a column of times or of gyros, or lines above the names, and rows of
+    samples."""
+    if not path.is_file() or is_recording(path):
+        return False
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        names = [cell.strip() for cell in file.readline().split(",")]
+        rows = sum(1 for _ in islice(file, _FEWEST_SAMPLES))
+    named = columns_by_name(names)
+    return rows < _FEWEST_SAMPLES or (len(names) >= 3 and named.time is None and "gyro" not in named.triads)
 
 
 def read_table(path: Path) -> ReadingsTable:

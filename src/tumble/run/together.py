@@ -28,7 +28,7 @@ from tumble.result.parts import Member, Parameter, learned_fraction
 from tumble.run.calibrate import assumptions, estimate_observations, new_provenance, passport_values
 from tumble.run.from_estimate import build_calibration, refused_calibration
 from tumble.run.launches import check_recordings, joint_circumstances, joint_digest
-from tumble.run.observed import Progress, inspect_session, observations_in_parts
+from tumble.run.observed import Progress, inspect_session, observations_for_calibration, observations_in_parts
 from tumble.sensors.frames import Frame
 from tumble.units import DEGREE, ZERO_CELSIUS
 
@@ -59,7 +59,7 @@ def calibrate_together(
     ------
     InputError
         If there are fewer than two sessions, if they differ in device, place or sensors, if one log is given twice, or
-        if a session has no temperatures.
+        if a session has no temperatures, or no rests but motion.
 
     Examples
     --------
@@ -84,6 +84,11 @@ def calibrate_together(
         parts, name = observations_in_parts(observed), Path(session.name).name or session.name
         circumstances.append(observed.circumstances)
         if isinstance(parts, Outcome):
+            if not isinstance(observations_for_calibration(observed, joint=True), Outcome):
+                raise InputError(
+                    f"{name}: expected rests, found a device in motion; calibrate such sessions as launches, without "
+                    "--together: the result is their mean"
+                )
             faults += [f"{name}: {reason}" for reason in parts.reasons]
             continue
         rests, turns = parts[0].rests, parts[0].turns

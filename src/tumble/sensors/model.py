@@ -59,10 +59,7 @@ class SensorModel:
         """Return true vectors (..., 3) from readings (..., n), both in SI and in the body frame."""
         readings = array_of("readings", readings)
         if readings.shape[-1:] != self.bias.shape[-1:]:
-            raise InputError(
-                f"readings: expected the shape (..., {self.bias.shape[-1]}), a number for each sensor, found "
-                f"{readings.shape}"
-            )
+            raise InputError(f"readings: expected the shape (..., {self.bias.shape[-1]}), found {readings.shape}")
         return np.asarray((readings - self._offset) @ np.swapaxes(self.inverse(), -1, -2))
 
     def predict(self, true: Array) -> Array:

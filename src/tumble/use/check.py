@@ -57,15 +57,14 @@ from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import gravity_sensitivity, shared_gravity
 from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.record import to_references
-from tumble.run.calibrate import grade_of
 from tumble.run.from_estimate import check_sensors, mean_temperature, sensor_temperatures
-from tumble.run.observed import inspect_session, observations_for_calibration
+from tumble.run.observed import grade_of, inspect_session, observations_for_calibration
 from tumble.sensors.grades import GRADES, TURN_ON, spread_of
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import group_name, group_of, shown_in, usual_sizes, variable_of
 from tumble.units import ZERO_CELSIUS, engineering
 from tumble.use.apply import check_device
-from tumble.use.positions import PositionResiduals, position_residuals, table_observations
+from tumble.use.positions import PositionResiduals, fits_of, position_residuals, table_observations
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
 
@@ -140,7 +139,7 @@ class FieldCheck(Judged):
             return _rests_beyond(self.rests, self.rest_limit)
         if self.explained:
             return tuple(change_text(change) for change in self.changes)
-        agree = "its rests alone agree with the calibration, so that the turns are to blame; "
+        agree = "its rests alone agree with the calibration: its turns, or gyros that drift between rests, do not; "
         turns = agree if self.rests_agree else ""
         return (
             f"no change of biases, scale factors or axes explains the session, so that it says nothing of them: "
@@ -377,7 +376,7 @@ def prior_at_check(
         inverse_degrees[i] = 0.0 if not degrees else 1.0 / (degrees if between > pooled else total)
 
     inverse = {p.name: 1.0 / p.dof for p in calibration.parameters if p.dof is not None}
-    fits = calibration.evidence.fits
+    fits = fits_of(calibration)
     scatter: dict[str, Any] = {name: fits[fit].scatter for name, fit in _FITS.items() if fit in fits}
     return CheckPrior(
         instrument=instrument,

@@ -19,7 +19,9 @@ contain changes from one power-on to the next, which `tumble.use.check` includes
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +74,8 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
         )
 
     # variance of a row without the scatter: that of a row of the calibration's table, or of the mean over a rest
-    rests = [(np.array(r.accel.noise), r.stop - r.start) for r in calibration.evidence.rests if r.accel is not None]
+    recorded = chain(calibration.evidence.rests, *(launch.rests for launch in calibration.evidence.launches))
+    rests = [(np.array(r.accel.noise), r.stop - r.start) for r in recorded if r.accel is not None]
     variance = np.array(meaning.row_u) ** 2 if meaning.row_u else np.zeros(3)
     if rests and not meaning.row_u:
         variance = np.median([noise**2 / duration for noise, duration in rests], axis=0)
@@ -86,9 +89,23 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
     return table_rests(readings, np.diag(variance), block, calibration.provenance.site), table
 
 
+def fits_of(calibration: Calibration) -> Mapping[str, Fit]:
+    """Return the fits of a calibration by group of residuals; of a mean of launches those of all launches together."""
+    launches = [launch.fits for launch in calibration.evidence.launches]
+    if not launches:
+        return calibration.evidence.fits
+    pooled = {}
+    for name in (name for name in launches[0] if all(name in fits for fits in launches)):
+        fits = [each[name] for each in launches]
+        chi_square, degrees = (sum(getattr(fit, field) for fit in fits) for field in ("chi_square", "degrees"))
+        scatter = float(np.sqrt(np.mean([fit.scatter**2 for fit in fits])))
+        pooled[name] = Fit(chi_square=chi_square, degrees=degrees, scatter=scatter, unit=fits[0].unit)
+    return pooled
+
+
 def _accelerometer_fit(calibration: Calibration) -> Fit:
     no_fit = Fit(chi_square=0.0, degrees=0.0, scatter=0.0, unit="m/s^2")
-    return calibration.evidence.fits.get("accelerometers", no_fit)
+    return fits_of(calibration).get("accelerometers", no_fit)
 
 
 def position_residuals(calibration: Calibration, observations: Observations, sha256: str) -> PositionResiduals:

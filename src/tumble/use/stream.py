@@ -29,8 +29,8 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.rest_stream import RestStream
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.rotation import unit_vector
-from tumble.run.calibrate import grade_of
 from tumble.run.from_estimate import mean_temperature
+from tumble.run.observed import grade_of
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import ZERO_CELSIUS, Array
 from tumble.use.check import (

@@ -17,6 +17,7 @@ import numpy as np
 from tumble.diagnosis.in_motion import IN_MOTION
 from tumble.diagnosis.verdict import gravity_text
 from tumble.files import FilePath
+from tumble.reduction.rests.warming import OVER_TEMPERATURE
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import notes_without_expanded
@@ -44,6 +45,7 @@ from tumble.views.numbers import (
     fixed,
     percent,
     quantity_table,
+    run_to_run,
     shown_units,
     significant,
     to_digits_of,
@@ -66,9 +68,10 @@ def _over_temperature(calibration: Calibration) -> list[Block]:
     if not count or measured is None:
         return []
     low, high = measured
-    return [
-        f"over temperature, {low:.0f} to {high:.0f} °C: {count} coefficients with their u, in the file and by --all"
-    ]
+    over = f"over temperature, {low:.0f} to {high:.0f} °C"
+    if high - low < OVER_TEMPERATURE:
+        over += f", only {high - low:.1f} K, in which a drift in time looks like a slope"
+    return [f"{over}: {count} coefficients with their u, in the file and by --all"]
 
 
 def calibration_blocks(
@@ -164,13 +167,18 @@ def calibration_blocks(
     lines += [f"from launch to launch: {', '.join(spreads)}"] if several else []
     for each in iterated:
         steps = each.evidence.iterations
-        lines.append(f"{each.method}: the last of {len(steps)} iterations added {_largest_change(each, steps[-1])}")
+        last = f"the last of {len(steps)} iterations added {_largest_change(each, steps[-1])}"
+        last = last if len(steps) > 1 else "one iteration; a second (--iterations 2) would show what it leaves"
+        lines.append(f"{each.method}: {last}")
     for other in others:
         changes = {p.name: other[p.name].value - p.value for p in calibration.parameters if p.name in other}
         lines.append(f"{other.method} differs from {calibration.method} by {_largest_change(calibration, changes)}")
     lines += notes_without_expanded(parameters)
     if accepted_kinds(calibration):
-        following = f"next: tumble export {shlex.quote(str(file))} --to json -o imu.json (others: --help)"
+        to = "px4 -o imu.params (ardupilot" if calibration.imu else "json -o imu.json ("
+        following = (
+            f"next: tumble export {shlex.quote(str(file))} --to {to}{', ' * bool(calibration.imu)}others: --help)"
+        )
     else:
         there = "the rests and turns that were found" if evidence.rests else "what was found in the recording"
         following = f"next: tumble inspect {shlex.quote(str(session))} ({there})"
@@ -187,6 +195,7 @@ def remarks_of(calibration: Calibration) -> tuple[str, ...]:
     decided, assumed = decided_by_priors(calibration), calibration.provenance.assumptions
     doubts = [sentence for sentence in assumed if sentence.startswith("doubt")]
     others = [sentence for sentence in assumed if sentence not in doubts]
+    others.sort(key=lambda sentence: "usual for time stamps" in sentence)  # some ppm, the least harmful
     if not accepted_kinds(calibration):  # only a misread log may be the cause
         others = []
     return (*doubts, *calibration.outcome.remarks, *others, *([decided] if decided is not None else []))
@@ -194,7 +203,9 @@ def remarks_of(calibration: Calibration) -> tuple[str, ...]:
 
 def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
     """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, and a line on the others."""
-    remarks, notes, shown = remarks_of(calibration), calibration.provenance.notes, list[str]()
+    notes, shown = calibration.provenance.notes, list[str]()
+    lost = [note for note in notes if note.startswith("turn ") and " is left out" in note]
+    remarks, notes = (*remarks_of(calibration), *lost), tuple(note for note in notes if note not in lost)
     for remark in remarks[:MAX_REMARKS]:
         if shown and len(text_of([Items(items=(*shown, f"remark: {remark}"))], WIDTH).splitlines()) > max_lines:
             break
@@ -233,7 +244,7 @@ def parameter_table(
         row = {"mean" if several else "value": value, "u (k=1)": u}
         row |= {"k": factor(p) if p.u else ""} if factors else {}
         row |= {"U (95 %)": with_expanded(p, size)[1]} if factors or whole else {}
-        row |= {"run to run": to_digits_of(p.run_to_run, p.u, size)} if several else {}
+        row |= {"run to run": run_to_run(p.run_to_run, size)} if several else {}
         row |= {"deviation": to_digits_of(p.deviation, p.u, size)} if passport else {}
         row |= {"unit": unit}
         if whole:
@@ -325,10 +336,9 @@ def launch_table(
         return to_digits_of(q.deviation if deviations else q.value, q.u, size)
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
-        u = p.u if p.u is None or not on_page else (p.k or 0.0) * p.u
         row = {heading: shown(launch.get(p.name), size) for heading, launch in zip(headings, by_name, strict=True)}
         row |= {} if on_page else {"mean": shown(p, size)}
-        return row | {"run to run": to_digits_of(p.run_to_run, u, size), "unit": unit}
+        return row | {"run to run": run_to_run(p.run_to_run, size), "unit": unit}
 
     name = "deviation of" if deviations else "parameter"
     return quantity_table(parameters, shown_units(calibration.parameters), row, name=name)

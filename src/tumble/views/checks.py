@@ -16,6 +16,9 @@ from tumble.use.stream import Event, Notice
 from tumble.views.blocks import Block, Table, table
 from tumble.views.numbers import cells, probability_text, quantity_table, to_digits_of, units_of_values
 
+MOST_SHOWN = 10
+"""Rests in a table, and sentences on them."""
+
 # -------------------- two calibrations --------------------
 
 
@@ -61,17 +64,26 @@ def check_blocks(check: FieldCheck, *, rests: bool = True) -> list[Block]:
     blocks: list[Block] = [f"{sum(not rest.why for rest in check.rests)} rests{turns}"]
     compared = [rest for rest in check.rests if rest.u is not None and math.isfinite(rest.u)]
     if rests and compared:
-        blocks += [_rest_table(check.rests), _rest_summary(compared, check.rest_limit)]
+        more = len(check.rests) - MOST_SHOWN
+        blocks += [_rest_table(check.rests), *([f"and {more} others with smaller ratios"] if more > 0 else [])]
+        allowed = check.misfit is not None and not check.reasons
+        blocks += [_rest_summary(compared, check.rest_limit, allowed=allowed)]
     if check.misfit is not None:
         blocks += [*_test_blocks(check, check.misfit)]
     return [*blocks, "changed" if check.reasons else _no_change(check)]
+
+
+def _worst(rests: Sequence[CheckedRest]) -> list[CheckedRest]:
+    """Return the MOST_SHOWN rests with the largest ratios, in their order."""
+    order = sorted(range(len(rests)), key=lambda i: -abs(rests[i].sigmas or 0.0))
+    return [rests[i] for i in sorted(order[:MOST_SHOWN])]
 
 
 def _rest_table(rests: Sequence[CheckedRest]) -> Table:
     """Return a table of the differences from gravity at rests or positions, with empty cells without a prediction."""
     size, unit = engineering("m/s^2", _largest(rests))
     rows = []
-    for rest in rests:
+    for rest in _worst(rests):
         row = {"": rest.label, f"g−|f| {unit}": "", f"u (k=1) {unit}": "", "ratio": ""}
         if rest.u is not None and math.isfinite(rest.u):
             numbers = f"{rest.difference / size:+z.1f}", f"{rest.u / size:.1f}", f"{rest.sigmas:+z.2f}"
@@ -85,12 +97,15 @@ def _largest(rests: Iterable[CheckedRest]) -> float:
     return max(size for size in values if math.isfinite(size))
 
 
-def _rest_summary(rests: Sequence[CheckedRest], limit: float | None) -> str:
+def _rest_summary(rests: Sequence[CheckedRest], limit: float | None, *, allowed: bool) -> str:
+    """State the largest difference; `allowed`: the tests of the parameters explain all rests."""
     size, unit = engineering("m/s^2", _largest(rests))
     largest, ratio = max(abs(rest.difference) for rest in rests), max(abs(rest.sigmas or 0.0) for rest in rests)
+    beyond = limit is not None and ratio > limit
+    more = "; what turning on again usually changes explains the excess" if allowed and beyond else ""
     return (
         f"largest |g−|f|| {largest / size:.3g} {unit}; largest ratio {ratio:.2f} of {len(rests)}, at most {limit:.2f} "
-        "in 99 of 100 good calibrations"
+        f"in 99 of 100 good calibrations{' from the same power-on' if more else ''}{more}"
     )
 
 
@@ -103,7 +118,7 @@ def _test_blocks(check: FieldCheck, misfit: Fit) -> Iterator[Block]:
         ratio, detectable = f"{test.change / test.u:+z.2f}", cells(0.0, test.detectable, size)[1]
         return {"change": change, "u (k=1)": u, "change/u": ratio, "detectable": detectable, "unit": unit}
 
-    if check.parameters:
+    if check.parameters and check.explained:  # else the changes say nothing
         yield quantity_table(check.parameters, units, row)
         yield (
             f"largest |change|/u {check.largest:.2f}, at most {check.limit:.2f} in {100.0 * (1.0 - CHANCE):.1f} of "

@@ -14,7 +14,7 @@ from typing import Protocol, TypeVar
 from tumble.result.coverage import expanded_of
 from tumble.result.parts import Estimated, Parameter
 from tumble.sensors.parameters import group_name, shown_in
-from tumble.units import engineering, rounded
+from tumble.units import engineering, rounded, two_digits
 from tumble.views.blocks import Table, table
 
 NONE = "—"  # on a page, in place of a number
@@ -150,6 +150,11 @@ def with_expanded(quantity: Estimated, size: float) -> tuple[str, str]:
     if U is None:
         return cells(quantity.value, quantity.u, size)[0], ""
     return cells(quantity.value, U, size)
+
+
+def run_to_run(deviation: float | None, size: float) -> str:
+    """Format a standard deviation from launch to launch to two digits of its own; empty without one."""
+    return "" if deviation is None else two_digits(deviation / size)
 
 
 def factor(parameter: Parameter) -> str:

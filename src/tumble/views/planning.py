@@ -37,7 +37,12 @@ def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
     if plan.requirements:
         needs = (_needs(row, plan.setup) for row in plan.requirements)
         blocks.append(table(needs, words=("parameters", "because")))
-    return [*blocks, Items(items=plan.assumptions)]
+    worse = any(row.spread < row.u < math.inf for row in plan.groups)
+    above = (
+        "u/before above 100 %: errors of table and mounting, and terms beyond the linear model, are in u and not in "
+        "the spread before; this pass does not improve such a group"
+    )
+    return [*blocks, Items(items=(*([above] if worse else []), *plan.assumptions))]
 
 
 def _head(plan: Plan) -> str:

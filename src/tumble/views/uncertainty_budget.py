@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import chain
 
 import numpy as np
 
@@ -15,6 +16,12 @@ from tumble.views.numbers import cells, percent, shown_units, significant
 
 MIN_SHARE = 0.02  # of u²; sources with a smaller share in every group are summed in one line
 OTHERS = "all others"
+DEGREES_OF_MEAN = (
+    "Mean of L launches: s is the standard deviation from launch to launch, n the noise of one launch. The line of "
+    "changes from launch to launch has u = s/√L with L − 1 degrees of freedom and contributes the part of s² above n². "
+    "U is the larger of t(L − 1) s/√L and U by Welch and Satterthwaite, where max(s, n) has the degrees of freedom of "
+    "the larger of t(L − 1) s and t(ν_n) n; ν of the value is that with t(ν) u = U."
+)
 
 
 def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Block]:
@@ -25,6 +32,7 @@ def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Bloc
     if not calibration.evidence.budget:
         return []
     blocks: list[Block] = [share_table(calibration)]
+    blocks += [DEGREES_OF_MEAN] if calibration.evidence.launches else []
     if every:
         blocks += [parameter_budget(calibration, name) for name in calibration if not beyond_linear(name)]
     return blocks
@@ -32,13 +40,13 @@ def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Bloc
 
 def share_table(calibration: Calibration) -> Table:
     """Return a table of the sources with their mean shares in u² of each group, the largest first. Reference standards
-    are listed however small."""
+    and changes from launch to launch are listed however small."""
     shares, budget, rows = shares_by_group(calibration), with_references(calibration), []
     missing = np.zeros(len(budget) - len(calibration.evidence.budget))
     shares = {group: np.append(share, missing) for group, share in shares.items()}
     by_group = np.array(list(shares.values()))
     order = np.argsort(-by_group.mean(axis=0)).tolist()
-    standards = {name for names in REFERENCES.values() for name in names}
+    standards = {"launches", *chain(*REFERENCES.values())}
     small = [s for s in order if by_group[:, s].max() < MIN_SHARE and budget[s].name not in standards]
     for s in (s for s in order if s not in small):
         row, (size, unit) = {"source": _words(budget[s]), "type": budget[s].type}, _unit_of(budget[s])
@@ -55,10 +63,12 @@ def share_table(calibration: Calibration) -> Table:
 
 def parameter_budget(calibration: Calibration, name: str) -> Table:
     """Return the budget of a parameter in the form of EA-4/02. Small contributions are one line, except those of
-    reference standards."""
+    reference standards and of changes from launch to launch."""
     parameter, lines, rows = calibration[name], calibration.uncertainty_budget(name), []
     size, unit = shown_units(calibration.parameters)[name]
-    kept = [each for each in lines if each.share >= MIN_SHARE or each.name in REFERENCES[sensor_kind(name)]]
+    kept = [
+        each for each in lines if each.share >= MIN_SHARE or each.name in ("launches", *REFERENCES[sensor_kind(name)])
+    ]
     small = sum(each.share for each in lines if each not in kept)
     if small > 0.0:
         u = math.sqrt(small) * (parameter.u or 0.0)
@@ -68,7 +78,7 @@ def parameter_budget(calibration: Calibration, name: str) -> Table:
         line_size, line_unit = _unit_of(line)
         if line.estimate != 0.0:
             line_size, line_unit = 1.0, line.unit.replace("^2", "²")
-        elif line.unit == parameter.unit and line.sensitivity == 1.0:
+        elif line.unit == parameter.unit and (line.sensitivity == 1.0 or line.name == "launches"):
             line_size, line_unit = size, unit
         u = line.u or 0.0
         estimate, estimate_u = cells(line.estimate, u, line_size) if u else (significant(line.estimate, 7), "0")
@@ -124,5 +134,4 @@ def budget_section(calibration: Calibration, *, short: bool = False) -> Section 
     None without a budget."""
     if not calibration.evidence.budget:
         return None
-    blocks = [share_table(calibration)] if short else budget_blocks(calibration, every=True)
-    return section("Uncertainty budget", *blocks)
+    return section("Uncertainty budget", *budget_blocks(calibration, every=not short))

@@ -17,14 +17,15 @@ from tumble.bench.follow.task import Task
 from tumble.bench.state import EstimateShown, GroupShown
 from tumble.inference.estimate import FIT_SIGMAS, Estimate
 from tumble.inference.joint import joint
-from tumble.recording.session import Exclusion, Session
+from tumble.recording.session import Exclusion, Session, Site
 from tumble.reduction.blocks.reducer import Reduction
 from tumble.reduction.observations import observe
 from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import without_numbered, without_times
 from tumble.reduction.rests.segmentation import Segmentation, find_rests
+from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import group_name, positions_by_group, prior_sizes, shown_in
+from tumble.sensors.parameters import group_name, positions_by_group, prior_sizes, sensor_kind, shown_in
 from tumble.units import G_STANDARD, Array
 
 log = logging.getLogger(__name__)
@@ -149,7 +150,14 @@ def _compute(
     elif turn.max(initial=0.0) > FIT_SIGMAS:
         cause = f"turn {j + 1} does not fit by {turn[j]:.0f}σ: clipped, samples lost, or a knock in it"
 
-    remaining = _gains(estimate, wanted.group, session.accel_block, wanted.accel, session.site.gravity)
+    floor, scale = session.site.gravity_u / session.site.gravity, wanted.group.get("accel.scale", math.inf)
+    if not cause and scale < floor:
+        cause = (
+            f"accel.scale is limited by gravity to {1e6 * floor:.2g} ppm, and {1e6 * scale:.2g} are wanted: state "
+            "latitude, height (--height) or gravity in [site]"
+        )
+
+    remaining = gains(estimate, wanted.group, session.accel_block, wanted.accel, session.site)
     best = int(np.argmin(remaining))
     upwards = [f"{name} {'up' if v > 0 else 'down'}" for name, v in zip("XYZ", DIRECTIONS[best], strict=True) if v]
     return {
@@ -169,19 +177,33 @@ def _compute(
     }
 
 
-def _gains(estimate: Estimate, wanted: Mapping[str, float], block: Block, rest_u: float, gravity: float) -> Array:
-    """Return the fraction of the accelerometers' uncertainty that a further rest along each of DIRECTIONS would leave.
+def gains(
+    estimate: Estimate,
+    wanted: Mapping[str, float],
+    block: Block,
+    rest_u: float,
+    site: Site,
+    directions: Array = DIRECTIONS,
+) -> Array:
+    """Return the fraction of the accelerometers' uncertainty that a further rest along each of the directions would
+    leave.
 
     Uncertainties are relative to the wanted ones (root mean square). The length of the mean force of a rest is gravity:
-    one scalar observation, by which the covariance of the estimate is updated. Information on the gyros from the turn
-    into it is neglected."""
-    rows = [estimate.names.index(name) for name in block.names]
-    C = estimate.covariance[np.ix_(rows, rows)]
-    weight = np.array([wanted.get(group_name(name), np.inf) for name in block.names])
-    before = float(np.sqrt((np.diag(C) / weight**2).sum()))
-    J = np.einsum("pn,nkm->pkm", np.linalg.pinv(block.axes), block.jacobian(np.zeros(len(rows))))
-    force = np.column_stack([gravity * DIRECTIONS, np.ones(len(DIRECTIONS))])
-    h = np.einsum("qp,pkm,qk->qm", DIRECTIONS, J, force)
+    one scalar observation, by which the covariance of the estimate is updated. It scatters as the rests so far do. An
+    error of gravity is common to the rest and the scale factors, so that no rest reduces it. Information on the gyros
+    from the turn into it is neglected."""
+    instrument, names = estimate.instrument, estimate.names
+    assert instrument is not None  # as in every estimate by `joint`
+    groups = map(group_name, names)
+    weight = np.array([wanted.get(name, np.inf) if sensor_kind(name) == block.kind else np.inf for name in groups])
+    relative = np.array([group_name(name) == "accel.scale" for name in names]) * (1.0 + estimate.values) / site.gravity
+    C = estimate.covariance - site.gravity_u**2 * np.outer(relative, relative)
+    force = site.gravity * directions
+    beta, D = functions(block, force, np.zeros_like(force)), instrument.derivative(block, estimate.values)
+    h = np.einsum("qk,kn,qnb,nbm->qm", directions, np.linalg.pinv(block.axes), beta, D, optimize=True)
     Ch = h @ C
-    variance = np.diag(C) - Ch**2 / (rest_u**2 + np.einsum("qm,qm->q", h, Ch))[:, None]
-    return np.asarray(np.sqrt((np.maximum(variance, 0.0) / weight**2).sum(axis=1)) / before)
+    scatter = estimate.fits["accelerometers"].scatter
+    reduced = Ch**2 / (rest_u**2 + scatter**2 + np.maximum(np.einsum("qm,qm->q", h, Ch), 0.0))[:, None]
+    before = estimate.u**2
+    left = np.maximum(before - reduced, 0.0)
+    return np.asarray(np.sqrt((left / weight**2).sum(axis=1) / (before / weight**2).sum()))

@@ -35,6 +35,11 @@ class Record:
     verdict: str | None
     added: datetime
 
+    @property
+    def withdrawn(self) -> bool:
+        """Whether the device failed this check, so that it must not be used until it is calibrated again."""
+        return self.verdict in FAILED
+
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LimitsRecord:
@@ -68,8 +73,8 @@ class Due:
 
     @property
     def withdrawn(self) -> bool:
-        """Whether the device failed its latest check, so that it must not be used until it is calibrated again."""
-        return self.record.verdict in FAILED
+        """Whether the device failed its latest check."""
+        return self.record.withdrawn
 
     @property
     def overdue(self) -> bool:

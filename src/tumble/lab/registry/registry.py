@@ -104,7 +104,7 @@ class Registry:
         performed
             When the device was calibrated; default: the date of the recording, or else of the file.
         occasion
-            Check whose limits apply; default: "incoming" for the first record of a device, then "periodic".
+            Check whose limits apply; default: "incoming" for the earliest calibration of a device, then "periodic".
         state
             Before an adjustment ("as-found"), after it ("as-left"), or without one.
 
@@ -145,7 +145,8 @@ class Registry:
                         f"{name}: device.model: expected {record.model!r}, as device {part.serial} has it in record "
                         f"{record.number}, found {model!r}; serial numbers must be unique"
                     )
-            occasion = occasion or ("periodic" if earlier else "incoming")
+            before = any(record.performed <= performed for record in earlier)
+            occasion = occasion or ("periodic" if before else "incoming")
             limits = rows.limits_in_force(model)
             number = rows.add(
                 CALIBRATION,

@@ -119,7 +119,8 @@ class Trend:
     """Trend of all parameters of a device in one `frame`.
 
     `limits` are the lowest and the highest value of each parameter, SI, in the periodic check that is in force now.
-    `comparison` compares the latest calibration that is not an adjustment with the one before it; None without two."""
+    `comparison` compares two consecutive calibrations, the last ones without an adjustment between them, whose records
+    have the numbers `compared`; None without two."""
 
     json_fields: ClassVar = ("serial", "frame", "limits", "parameters", "changed")
 
@@ -128,6 +129,7 @@ class Trend:
     parameters: tuple[ParameterTrend, ...]
     limits: Mapping[str, tuple[float, float]]
     comparison: Comparison | None
+    compared: tuple[int, int] | None = None
 
     @property
     def serial(self) -> str:
@@ -171,13 +173,15 @@ def trend_of(past: Sequence[tuple[Record, Calibration]], limits: Limits | None) 
                 shared={source: float(change[i]) for source, change in sources.items()},
             )
             points.setdefault(p.name, []).insert(0, point)
+    comparison, compared = _latest_comparison(past)
     intervals = {} if limits is None else {name: limits.of(name, "periodic") for name in points}
     return Trend(
         latest=past[-1][0],
         frame=past[-1][1].frame,
         parameters=tuple(parameter_trend(name, units[name], series) for name, series in points.items()),
         limits={name: interval for name, interval in intervals.items() if interval is not None},
-        comparison=_latest_comparison(past),
+        comparison=comparison,
+        compared=compared,
     )
 
 
@@ -194,13 +198,18 @@ def _shareable_errors(calibration: Calibration) -> dict[Hashable, Array]:
     return sources
 
 
-def _latest_comparison(past: Sequence[tuple[Record, Calibration]]) -> Comparison | None:
-    """Compare the last calibration that is not an adjustment with the one before it; None without two such that have
-    parameters in common."""
-    pairs = [(first, second) for (_, first), (record, second) in pairwise(past) if record.state != "as-left"]
-    if not pairs or not set(pairs[-1][0]) & set(pairs[-1][1]):
-        return None
-    return compare_calibrations(*pairs[-1])
+def _latest_comparison(
+    past: Sequence[tuple[Record, Calibration]],
+) -> tuple[Comparison, tuple[int, int]] | tuple[None, None]:
+    """Compare the last calibration that is not after an adjustment with the one before it, and return their record
+    numbers too; None without two such that have parameters in common."""
+    pairs = [pair for pair in pairwise(past) if pair[1][0].state != "as-left"]
+    if not pairs:
+        return None, None
+    (earlier, first), (later, second) = pairs[-1]
+    if not set(first) & set(second):
+        return None, None
+    return compare_calibrations(first, second), (earlier.number, later.number)
 
 
 def parameter_trend(name: str, unit: str, points: Sequence[Point]) -> ParameterTrend:

@@ -13,7 +13,6 @@ from tumble.lab.registry.registry import logs_of
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Parameter
 from tumble.sensors.parameters import beyond_linear, group_name
-from tumble.units import two_digits
 from tumble.views.blocks import Block, Items, Table
 from tumble.views.checks import comparison_lines
 from tumble.views.numbers import (
@@ -22,6 +21,7 @@ from tumble.views.numbers import (
     device_name,
     limit_cell,
     quantity_table,
+    run_to_run,
     shown_units,
     units_of_values,
     with_expanded,
@@ -50,8 +50,9 @@ def device_table(records: Sequence[Record]) -> Table:
     """Return a table of the devices with their latest records, from records in chronological order."""
     serials = [r.serial for r in records]
     latest = {r.serial: r for r in records}
+    verdicts = {serial: f"{r.verdict}: withdrawn" if r.withdrawn else r.verdict for serial, r in latest.items()}
     rows = (
-        (serial, r.model, serials.count(serial), _day(r.performed), r.number, r.occasion, r.verdict)
+        (serial, r.model, serials.count(serial), _day(r.performed), r.number, r.occasion, verdicts[serial])
         for serial, r in sorted(latest.items())
     )
     return _text_table(("device", "type", "calibrations", "latest", "record", "check", "verdict"), rows)
@@ -153,11 +154,16 @@ def trend_blocks(trend: Trend, *, every: bool) -> list[Block]:
             low, high = limits or (nan, nan)
             row |= {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
         if has_launches:
-            row["run to run"] = "" if parameter.run_to_run is None else two_digits(parameter.run_to_run / size)
+            row["run to run"] = run_to_run(parameter.run_to_run, size)
         per_year, U = ("", "")
         if drift is not None and drift.expanded is not None:
             per_year, U = cells(drift.per_year, drift.expanded, size)
-        row |= {"drift/year": per_year, "U (95 %)": U, **_change_cells(parameter.last_change, size), "unit": unit}
+        row |= {
+            "drift/year": per_year,
+            "U (95 %)": U,
+            **_change_cells(parameter.last_change, trend.compared, size),
+            "unit": unit,
+        }
         if trend.limits:
             row["verdict"] = judge_value(latest.value, latest.u, *limits, dof=latest.dof) if limits else ""
         return row
@@ -173,9 +179,18 @@ def trend_blocks(trend: Trend, *, every: bool) -> list[Block]:
 
 
 def change_lines(trend: Trend) -> list[str]:
-    """Return sentences on the changes since the calibration before."""
-    lines = [] if trend.comparison is None else comparison_lines(trend.comparison)
-    return [f"the latest against the one before: {line}" if i == 0 else line for i, line in enumerate(lines)]
+    """Return sentences on the changes between the compared calibrations."""
+    if trend.comparison is None or trend.compared is None:
+        return []
+    earlier, later = trend.compared
+    compared = "the latest against the one before"
+    if later != trend.latest.number:
+        compared = (
+            f"record {later} against record {earlier}, before the adjustment (record {trend.latest.number} is after "
+            "it, and is not compared)"
+        )
+    first, *others = comparison_lines(trend.comparison)
+    return [f"{compared}: {first}", *others]
 
 
 def _sparkline(values: Sequence[float]) -> str:
@@ -187,9 +202,9 @@ def _sparkline(values: Sequence[float]) -> str:
     return "".join(_BARS[min(int((v - low) / (high - low) * len(_BARS)), len(_BARS) - 1)] for v in shown)
 
 
-def _change_cells(change: Change | None, size: float) -> dict[str, str]:
-    """Return the cells of a change and its E_n number."""
-    if change is None:
+def _change_cells(change: Change | None, compared: tuple[int, int] | None, size: float) -> dict[str, str]:
+    """Return the cells of a change and its E_n number, empty if it is not between the compared records."""
+    if change is None or (change.earlier, change.later) != compared:
         return {"change": "", "E_n": ""}
     e_n = "" if change.e_n is None else f"{change.e_n:+z.2f}"
     return {"change": cells(change.value, change.expanded, size)[0], "E_n": e_n}

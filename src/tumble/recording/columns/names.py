@@ -134,9 +134,8 @@ def translated_name(name: str) -> str:
 
 def unit_spelling(text: str) -> str:
     """Return a unit as `UNITS` spells it: `m·s⁻²`, `m/sec^2` and `m / s²` become ms-2, m/s2 and m/s2."""
-    out = re.sub(
-        r"(?<!arc)sec", "s", text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1")
-    )
+    text = text.lower().replace("μ", "µ").replace("⁻", "-").replace("²", "2").replace("¹", "1")
+    out = re.sub(r"(?<!arc)sec(onds?)?", "s", text)
     return re.sub(r"[*^·⋅{} ]|\.(?=s)", "", out)
 
 
@@ -161,6 +160,8 @@ def is_unit(text: str) -> bool:
 _AXIS_OF_WORD = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
 _WITH_AXIS = [re.compile(word) for word in (r"([a-z]+)([xyz])(\d)", "(.+)([xyz])()", "()([xyz])(.+)", "(.+)([123])()")]
 """Words that contain an axis: ax1 and gyroz2 of several devices, and AccX, xacc, acc1."""
+_IN_G = re.compile(r"[xyz][ _]g", re.IGNORECASE)
+"""Names of accelerometers in g, or of gyros beside accelerometers x_a, y_a and z_a."""
 _THERMOMETER = re.compile(r"(t|temp|temperature)(\d?)")
 _ACCEL_WORD = re.compile(r"(acc|accel|accelerometers?|a)([xyz]?)")
 _GYRO_WORD = re.compile(r"(gyr|gyros?|gyroscopes?|g)([xyz]?)")
@@ -188,7 +189,8 @@ class Columns:
     """Columns of a table by kind: time, a triad of each kind of sensor, and thermometers as in [log.temperature].
 
     `time_unit` is None if the name has no unit; `others` are further triads and thermometers, `times` all columns named
-    as times, `interval` that of times since the previous sample. `ambiguous`: other columns are nearly as likely."""
+    as times, `interval` that of times since the previous sample. `ambiguous`: other columns are nearly as likely;
+    `turning`: gyros that were identified by numbers turn the vector of the accelerometers."""
 
     time: str | None
     time_unit: str | None
@@ -198,6 +200,7 @@ class Columns:
     times: tuple[str, ...] = ()
     interval: str | None = None
     ambiguous: bool = False
+    turning: bool = False
 
 
 def columns_by_name(names: Iterable[str]) -> Columns:
@@ -210,19 +213,26 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         for axis, stem in (_axes(words) or _axis_alone(words)) if name not in thermometers else ():
             if (kind := sensor_kind(stem, unit)) is not None:
                 stems.setdefault((kind, stem), {}).setdefault(axis, name)
-                break
 
-    def rank(item: tuple[tuple[str, str], Mapping[str, str]]) -> float:
+    def rank(item: tuple[tuple[str, str], Mapping[str, str]]) -> tuple[float, bool]:
+        """Rank by score, and axes that are letters before numbers, as in acc_x_0 … acc_z_2 of three devices."""
         (kind, stem), by_axis = item
-        return -score(kind, stem, _split(next(iter(by_axis.values())))[1])
+        are_numbers = len({re.sub(r"\d", "", name) for name in by_axis.values()}) == 1
+        return -score(kind, stem, _split(next(iter(by_axis.values())))[1]), are_numbers
 
     triads: dict[str, Sensors] = {}
     others: list[str] = []
+    taken: set[str] = set()
     for (kind, stem), by_axis in sorted(stems.items(), key=rank):
-        if set(by_axis) == set("xyz") and kind in triads:
+        if set(by_axis) != set("xyz") or taken & {*by_axis.values()}:
+            continue
+        taken |= {*by_axis.values()}
+        if kind in triads:
             others.append(stem)
-        elif set(by_axis) == set("xyz"):
+        else:
             triads[kind] = _triad(kind, [by_axis[axis] for axis in "xyz"])
+    if ACCEL not in triads and GYRO in triads and all(map(_IN_G.fullmatch, triads[GYRO].columns)):
+        triads[ACCEL] = Sensors(columns=triads.pop(GYRO).columns, unit="g")
     direction_first = {}  # roll_rate of `RateRoll`
     for name in names:
         words = re.sub(r"(roll|pitch|yaw)(?=rate|speed|vel)", r"\1_", "_".join(_split(name)[0])).split("_")
@@ -348,6 +358,7 @@ def _split(name: str) -> tuple[list[str], str]:
         unit, rest = "_".join(words[-count:]), words[:-count]
         # the remaining words must be a name by themselves: with an axis, a direction or a word for time
         is_name = _axes(rest) or any(map(_DIRECTION.fullmatch, rest)) or score(TIME_KIND, "_".join(rest))
+        is_name = is_name or any(score(GYRO, "_".join(rest), axis=axis) for axis in "xyz")
         if rest and unit in ALL_UNITS and is_name:
             return rest, unit
         inner = "_".join(words[-count - 1 : -1])

@@ -43,6 +43,7 @@ _COUNTED = 2.0  # −2 ln of the probability of counts of data sheets; with powe
 _RARE = 2.2  # −2 ln(1/3), rare against common counts in `scales`
 _NO_SCALE = 16.0  # neither a unit nor counts of data sheets
 _CARRIED = 18.0  # gyros that explain the turns of the accelerometers' vector completely, against none
+_TURNING = -0.25 * _CARRIED  # cost of turning of gyros that explain three quarters of the turns
 _OFF_TRIPLE = 1.5  # three columns that overlap two triples
 _BIAS = 0.5  # of gyros, per factor e of the ratio of their mean vector to their spread
 _MOST = 9.0  # largest cost of one deviation: three standard deviations
@@ -70,12 +71,14 @@ Triple = tuple[int, int, int]
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class _Hypothesis:
-    """Columns of accelerometers and gyros, their cost, and the part of it that concerns the accelerometers."""
+    """Columns of accelerometers and gyros, their cost, and the parts of it that concern the accelerometers and the
+    turning of their vector by the gyros."""
 
     cost: float
     accel_cost: float
     accel: Triple
     gyro: Triple | None
+    turning: float = 0.0
 
 
 def guess_remarks(columns: Columns, named: Collection[str] = ()) -> list[str]:
@@ -115,7 +118,9 @@ def columns_by_data(names: Sequence[str], table: Array) -> Columns:
     }
     # the rivals are a log without accelerometers, and the second hypothesis
     margin = min([_LIMIT - best.accel_cost, *(rival.cost - best.cost for rival in rivals[:1])])
-    return Columns(time=time, time_unit=None, triads=triads, ambiguous=margin < _AMBIGUOUS)
+    return Columns(
+        time=time, time_unit=None, triads=triads, ambiguous=margin < _AMBIGUOUS, turning=best.turning < _TURNING
+    )
 
 
 def _ranked_hypotheses(names: Sequence[str], table: Array, columns: Sequence[int]) -> list[_Hypothesis]:
@@ -150,7 +155,10 @@ def _ranked_hypotheses(names: Sequence[str], table: Array, columns: Sequence[int
                 gyro_cost += _ASKEW * ((gyro[0] - accel[0]) % 3 != 0)
                 gyro_cost += _LATER * (min(gyro[0], accel[0]) >= first[accel[0]] + 3)
                 accel_cost = cost + min(turning, 0.0)
-                hypotheses.append(_Hypothesis(cost=cost + gyro_cost, accel_cost=accel_cost, accel=accel, gyro=gyro))
+                both = _Hypothesis(
+                    cost=cost + gyro_cost, accel_cost=accel_cost, accel=accel, gyro=gyro, turning=turning
+                )
+                hypotheses.append(both)
     return sorted((h for h in hypotheses if h.accel_cost <= _LIMIT), key=lambda h: h.cost)
 
 

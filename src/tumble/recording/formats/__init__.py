@@ -48,6 +48,11 @@ _BINARY = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 TIME = "t"
 """The time column in the rows of a message, s, on a clock common to all messages of a recording."""
 AXES = "xyz"
+PX4_CORRECTED = (
+    "sensor_combined is what PX4 has corrected by CAL_ACC*, CAL_GYRO* and turned by SENS_BOARD_ROT: an export is wrong "
+    "unless these were 0 (scales 1) while recording; or log the raw sensors at their rate (SDLOG_PROFILE)"
+)
+"""Doubt about readings of the message sensor_combined."""
 _KINDS = {"accel": ACCEL, "gyro": GYRO, "field": MAGNETOMETER}
 
 
@@ -56,8 +61,8 @@ class Message:
     """A kind of message: its name, number of rows and sensors by kind.
 
     `rows` gives tables of bounded size in order, with the column TIME if `timed`; `temperatures` are columns in °C as
-    [log.temperature] lists them; `remark` is a sentence for the user; `imu` has the "accel" and "gyro" of an
-    autopilot."""
+    [log.temperature] lists them; `remark` is a sentence for the user, and `doubt` one on readings that are not raw;
+    `imu` has the "accel" and "gyro" of an autopilot."""
 
     name: str
     count: int
@@ -66,6 +71,7 @@ class Message:
     temperatures: tuple[str, ...] = ()
     timed: bool = True
     remark: str = ""
+    doubt: str = ""
     imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
 
     @property
@@ -171,6 +177,7 @@ def messages(*paths: Path) -> list[Message]:
         sensors, remedy = nothing[0], ""
         if any(message.gyro for message in found):
             sensors = "gyros alone"
+            remedy = "; record the accelerometers too, or give tumble calibrate or tumble noise the gyros as CSV"
         elif any(MAGNETOMETER in message.triads for message in found):
             sensors, remedy = "a magnetometer alone", "; record the accelerometers with it"
         raise InputError(f"{paths[0]}: expected messages with accelerometers, found {sensors}{remedy}")

@@ -2,13 +2,17 @@
 sensors' own rate), one for each instance. Before ArduPilot 4.1 the instance is in the name: IMU, IMU2 and IMU3, ACC1
 and GYR1 to ACC3 and GYR3.
 
-ArduPilot logs readings after its own offsets and scales, which have to be reset before recording.
+ArduPilot logs readings after its own offsets o and scales s, turned by R of AHRS_ORIENTATION into the board's axes
+(AP_InertialSensor_Backend::_rotate_and_correct_accel). If the log states these parameters, they are undone:
+
+    raw = Rᵀ logged / s + o
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -16,21 +20,28 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+from pymavlink import mavutil
 from pymavlink.DFReader import DFReader_binary, DFReader_text
+from scipy.spatial.transform import Rotation
 
+from tumble.errors import InputError
 from tumble.recording.formats import AXES, TIME, Message, triads_of
 from tumble.recording.panic import COMMAND_LINE, without_panic
 from tumble.recording.session import AutopilotSensor
 
 NOTHING = "no messages IMU or ACC; set bit 'IMU' of LOG_BITMASK and record again"
 
+_HEAD, _HEAD_WITHIN = b"\xa3\x95", 4096  # before every message; bytes
 _PARAMETER = "PARM"
 _TIME = "TimeUS"
 _NAMED_INSIDE = 3  # INS_ACC3_ID, but INS4_ACC_ID
 _SECOND = 1e-6  # times are in µs
-_REMARK = (
-    "ArduPilot has applied its own INS_ACCOFFS, INS_ACCSCAL and INS_GYROFFS to these readings: reset them to 0 and 1 "
-    "before recording, and set INS_TCAL1_ENABLE to 0"
+_UNKNOWN = (
+    "ArduPilot has applied its own INS_ACCOFFS, INS_ACCSCAL, INS_GYROFFS and AHRS_ORIENTATION to these readings, which "
+    "the log does not state: an export is wrong unless they were 0 (scales 1) while recording"
+)
+_COMPENSATED = (
+    "ArduPilot has corrected these readings over temperature ({}): an export is wrong; set it to 0 and record again"
 )
 _TEMPERATURE = "temperature"
 _ACCEL = {f"accel_{a}": f"Acc{a.upper()}" for a in AXES}
@@ -46,7 +57,7 @@ _INSTANCES = {
 def messages(path: Path) -> list[Message]:
     """Return messages with inertial sensors, one for each instance."""
     kept: dict[tuple[str, int], list[list[float]]] = {}
-    ids: dict[str, int] = {}
+    parameters: dict[str, float] = {}
     with ExitStack() as stack:
         if COMMAND_LINE.get():  # pymavlink prints a line, from Python or from C, for every byte that it skips
             stack.enter_context(without_panic(silent=True))
@@ -57,7 +68,7 @@ def messages(path: Path) -> list[Message]:
             while (message := log.recv_match(type=[*_INSTANCES, _PARAMETER])) is not None:
                 name = message.get_type()
                 if name == _PARAMETER:
-                    ids |= {message.Name: int(message.Value)} if message.Name.endswith("_ID") else {}
+                    parameters.setdefault(message.Name, float(message.Value))  # at the start of the log
                     continue
                 kind, instance = _INSTANCES[name]
                 fields, named = _FIELDS[kind].values(), {*message.get_fieldnames()}
@@ -70,31 +81,66 @@ def messages(path: Path) -> list[Message]:
                 kept.setdefault((kind, instance), []).append(reading)
         finally:
             log.close()
+    if not kept and path.suffix.lower() == ".bin" and _HEAD not in path.read_bytes()[:_HEAD_WITHIN]:
+        raise InputError(f"{path}: expected a log of ArduPilot, found another binary file; export its readings as CSV")
     origin = min((rows[0][0] for rows in kept.values()), default=0.0)
     return [
-        _message(kind, instance, np.array(rows, dtype=float), origin, ids)
+        _message(kind, instance, np.array(rows, dtype=float), origin, parameters)
         for (kind, instance), rows in sorted(kept.items())
     ]
 
 
-def _message(kind: str, instance: int, rows: Any, origin: float, ids: Mapping[str, int]) -> Message:
-    """Return the message of one instance; device ids are parameters of the log."""
+def _message(kind: str, instance: int, rows: Any, origin: float, parameters: Mapping[str, float]) -> Message:
+    """Return the message of one instance, with the autopilot's corrections undone; device ids are parameters too."""
     rows[:, 0] = (rows[:, 0] - origin) * _SECOND
     names = [TIME, *_FIELDS[kind]]
     warm = kind == "IMU" and bool(np.isfinite(rows[:, -1]).all() and rows[:, -1].any())  # 0: no thermometer
     names += [_TEMPERATURE] if warm else []
     number = instance + 1
     prefix, counted = ("INS", "" if number == 1 else str(number)) if number <= _NAMED_INSIDE else (f"INS{number}", "")
+    stems = {"accel": f"{prefix}_ACC{counted}", "gyro": f"{prefix}_GYR{counted}"}
+    stems = {sensor: stem for sensor, stem in stems.items() if f"{sensor}_x" in _FIELDS[kind]}
+    doubt, undone = _UNKNOWN, list[str]()
+    if _are_stated(stems, parameters):
+        undone = list(_undo(rows, names, stems, parameters))
+        tcal = f"INS_TCAL{number}_ENABLE"
+        doubt = _COMPENSATED.format(tcal) if parameters.get(tcal) else ""
+    ids = {sensor: parameters.get(f"{stem}_ID") for sensor, stem in stems.items()}
     return Message(
         name=f"{kind}.{instance}",
         count=len(rows),
         triads=triads_of(names, {"accel": "m/s^2", "gyro": "rad/s"}),
         temperatures=(_TEMPERATURE,) if warm else (),
         rows=lambda: iter([pl.DataFrame(rows[:, : len(names)], schema=names, orient="row")]),
-        remark=_REMARK,
-        imu={
-            sensor: AutopilotSensor(number=number, id=ids.get(f"{prefix}_{word}{counted}_ID") or None)
-            for sensor, word in (("accel", "ACC"), ("gyro", "GYR"))
-            if kind in ("IMU", word)
-        },
+        remark=f"undone: what ArduPilot had applied, {', '.join(undone)}" if undone else "",
+        doubt=doubt,
+        imu={sensor: AutopilotSensor(number=number, id=int(ids[sensor] or 0) or None) for sensor in stems},
     )
+
+
+def _are_stated(stems: Mapping[str, str], parameters: Mapping[str, float]) -> bool:
+    """Return whether the parameters that the autopilot applies to its readings are known."""
+    needed = {f"{stem}OFFS_X" for stem in stems.values()}
+    needed |= {f"{stems['accel']}SCAL_X"} if "accel" in stems else set()
+    orientation = mavutil.mavlink.enums["MAV_SENSOR_ORIENTATION"].get(int(parameters.get("AHRS_ORIENTATION", 0)))
+    return needed <= parameters.keys() and orientation is not None and "Pitch" in orientation.description
+
+
+def _undo(rows: Any, names: list[str], stems: Mapping[str, str], parameters: Mapping[str, float]) -> Iterator[str]:
+    """Undo the corrections of the autopilot in the columns with these names, and yield them in words."""
+    number = int(parameters.get("AHRS_ORIENTATION", 0))
+    stated = mavutil.mavlink.enums["MAV_SENSOR_ORIENTATION"][number].description
+    angles = {axis: float(angle) for axis, angle in re.findall(r"(Roll|Pitch|Yaw): (\d+)", stated)}
+    turned = Rotation.from_euler("ZYX", [angles.get(axis, 0.0) for axis in ("Yaw", "Pitch", "Roll")], degrees=True)
+    for sensor, stem in stems.items():
+        columns = [names.index(f"{sensor}_{axis}") for axis in AXES]
+        offset, scale = (
+            np.array([parameters.get(f"{stem}{what}_{axis.upper()}", usual) for axis in AXES])
+            for what, usual in (("OFFS", 0.0), ("SCAL", 1.0))
+        )
+        rows[:, columns] = (rows[:, columns] @ turned.as_matrix()) / scale + offset
+        for what, values, usual in (("OFFS", offset, 0.0), ("SCAL", scale, 1.0)):
+            if (values != usual).any():
+                yield f"{stem}{what} {' '.join(f'{value:.6g}' for value in values)}"
+    if number:
+        yield f"AHRS_ORIENTATION {number} (the readings are in the axes of the sensor)"

@@ -8,6 +8,7 @@ by default PX4 logs them once a second.
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -17,17 +18,14 @@ import numpy as np
 import polars as pl
 from pyulog import ULog
 
-from tumble.recording.formats import AXES, TIME, Message, triads_of
+from tumble.recording.formats import AXES, PX4_CORRECTED, TIME, Message, triads_of
 from tumble.recording.session import AutopilotSensor
 
 NOTHING = "no messages sensor_accel or sensor_combined; set SDLOG_PROFILE to log the raw sensors"
 
 _SECOND = 1e-6  # times are in µs
 _COMBINED = "sensor_combined"
-_REMARKS = {
-    _COMBINED: "PX4 has corrected these readings with its own calibration: reset it (CAL_ACC*, CAL_GYRO*) before "
-    "recording, or log the raw sensors at their rate (SDLOG_PROFILE)"
-}
+_APPLIED = re.compile(r"CAL_(ACC|GYRO)\d_[XYZ](OFF|SCALE)|SENS_BOARD_(ROT|[XYZ]_OFF)")
 _UNITS = {"accel": "m/s^2", "gyro": "rad/s", "field": "gauss"}
 _FIELDS: Mapping[str, Mapping[str, str]] = {
     "sensor_accel": {f"accel_{axis}": axis for axis in AXES},
@@ -80,9 +78,15 @@ def _message(data: Any, origin: int, parameters: Mapping[str, Any]) -> Message:
         triads=triads_of(fields, _UNITS),
         temperatures=tuple(warmth),
         rows=partial(_rows, values, fields | warmth, origin),
-        remark=_REMARKS.get(data.name, ""),
+        doubt=PX4_CORRECTED if data.name == _COMBINED and _has_corrected(parameters) else "",
         imu=_sensors(data, parameters),
     )
+
+
+def _has_corrected(parameters: Mapping[str, Any]) -> bool:
+    """Return whether any parameter changes the readings of sensor_combined, or none is known."""
+    applied = {name: float(value) for name, value in parameters.items() if _APPLIED.fullmatch(name)}
+    return not applied or any(value != name.endswith("SCALE") for name, value in applied.items())
 
 
 def _sensors(data: Any, parameters: Mapping[str, Any]) -> dict[str, AutopilotSensor]:

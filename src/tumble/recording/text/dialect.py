@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 LINE_BYTES = 1 << 18
@@ -83,7 +84,9 @@ class Dialect:
         if line and len(line) < _PLAIN_LENGTH and not _NOT_PLAIN.search(line):  # much faster than csv
             return [cell.strip() for cell in line.split(self.delimiter)]
         try:
-            return [cell.strip() for cell in next(csv.reader([line], delimiter=self.delimiter), [])]
+            return [
+                cell.strip() for cell in next(csv.reader([line], delimiter=self.delimiter, skipinitialspace=True), [])
+            ]
         except csv.Error:
             return [line]
 
@@ -152,8 +155,16 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
     names, used = tuple(str(i + 1) for i in range(width)), set[int]()
     wordy = [i for i, n in candidates.items() if sum(map(dialect.is_number, n)) < _FEWEST_NUMBERS]
     at = max(wordy or candidates, default=-1) if dialect.header else -1  # a row of mostly text may follow the names
-    if at >= 0 and any(line.strip() for line in above[at + 1 :]) and not _are_telling(candidates[at]):  # boot messages
-        at = max((i for i in wordy if _are_telling(candidates[i])), default=-1)
+
+    def groups(at: int) -> tuple[str, ...]:
+        """Return the names in the line above, as many as there are columns."""
+        return names_of_rows([cell.strip('"') for cell in dialect.cells(above[at - 1])], below) if at else ()
+
+    def are_telling(at: int) -> bool:
+        return _are_telling(_with_group_names(candidates[at], groups(at)) or candidates[at])
+
+    if at >= 0 and any(line.strip() for line in above[at + 1 :]) and not are_telling(at):  # boot messages
+        at = max((i for i in wordy if are_telling(i)), default=-1)
     if at >= 0:
         names, used = candidates[at], {at}
         if at - 1 in candidates and _are_units(names):
@@ -161,7 +172,7 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
             pairs = zip(candidates[at], units, strict=True)
             names = tuple(f"{name} [{_bare(unit)}]".removesuffix(" []") for name, unit in pairs)
             used.add(at)
-        grouped = _with_group_names(names, dialect.cells(above[at - 1])) if at else None
+        grouped = _with_group_names(names, groups(at))
         if grouped is not None:
             names = grouped
             used.add(at - 1)
@@ -202,7 +213,10 @@ def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[
     """Return names for as many columns as most rows have.
 
     Empty names at the end are dropped if rows have no such columns. A missing name is that of the first column if it
-    numbers the rows, as written by R, else that of the last, as in rows that end with a comma."""
+    numbers the rows, as written by R, or grows evenly below a name that may be that of a sensor; else that of the last,
+    as in rows that end with a comma."""
+    from tumble.recording.columns.names import is_no_sensor
+
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else len(names)
     while len(names) > width and not names[-1]:
         names = names[:-1]
@@ -211,7 +225,9 @@ def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[
     wider = [cells for cells in rows if len(cells) == width]
     numbers = [cells[0].strip('"') for cells in wider]
     numbered = any(numbers == [str(first + i) for i in range(len(numbers))] for first in (0, 1))
-    if numbered and all(cells[-1] for cells in wider) and not _COUNTS.fullmatch(names[0]):
+    steps = [float(b) - float(a) for a, b in pairwise(numbers)] if all(map(_POINT.fullmatch, numbers)) else []
+    even = len(steps) >= FIRST_ROWS - 1 and 0.0 < max(steps) < 2.0 * min(steps) and not is_no_sensor(names[0])
+    if all(cells[-1] for cells in wider) and (numbered or even) and not COUNTS.fullmatch(names[0]):
         return ("", *names)
     return (*names, "")
 
@@ -225,7 +241,7 @@ def numbered(names: Sequence[str]) -> tuple[str, ...]:
     )
 
 
-_COUNTS = re.compile(
+COUNTS = re.compile(
     r"\W*(sample|packet|frame|row|seq|record)?[ _]?(count(er)?|index|idx|id|n|nr|no|number|sample|seq|row)\W*", re.I
 )
 """Names of columns that number rows."""

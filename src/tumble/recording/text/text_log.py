@@ -211,7 +211,7 @@ class TextLog(LogSource):
 
     def cells(self, line: str) -> list[str]:
         """Return the values in a line of a piece."""
-        return next(csv.reader([line], delimiter=self.separator), [])
+        return next(csv.reader([line], delimiter=self.separator, skipinitialspace=True), [])
 
     def place(self, row: int, column: str | None = None) -> str:
         return f"{self.path}: row {row} (line {row + self.top})" + in_column(column)
@@ -229,7 +229,8 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
         with opened(path) as stream:
             first, *lines = [stream.readline(LINE_BYTES) for _ in range(1 + FIRST_ROWS)]
         try:
-            above = next(csv.reader([first.decode("utf-8-sig", errors="replace").replace("\0", "").rstrip("\r\n")]), [])
+            line = first.decode("utf-8-sig", errors="replace").replace("\0", "").rstrip("\r\n")
+            above = next(csv.reader([line], skipinitialspace=True), [])
         except csv.Error as error:
             raise LogError(f"{path}: expected the names of the columns in the first line, found: {error}") from None
         below = (Dialect().cells(line.decode("utf-8", errors="replace").strip()) for line in lines)

@@ -28,6 +28,7 @@ from tumble.units import Array
 
 SQUARED_WEIGHTS = 4.375  # variance of d_i of Eq. (1) over that of a level
 MEDIAN = 0.6745  # of the absolute value of a standard normal variable
+LEAST_STEP = 0.9  # of a step, by rounding
 MAX_PARABOLA, PARABOLA_ERRORS = 10, 1.5
 """Most levels that a parabola is fitted to, and its largest rms deviation from them, in errors of a level."""
 
@@ -80,9 +81,13 @@ def level_crossings(time: Array, readings: Array) -> tuple[Array, Array]:
     """Return times and levels (k,) at which readings (K,) at times (K,) go from one value to the next.
 
     A reading that alternates crosses a level once, at the mean of the times; one that returns for good crosses it
-    twice. If readings have steps, values between two steps were interpolated and are no level."""
+    twice. If readings have steps, values that are less than a step from the readings beside them were interpolated and
+    are no level."""
     if has_steps(readings):
-        is_level = np.isin(readings, readings[1:][np.diff(readings) == 0.0])
+        changes = np.abs(np.diff(readings))
+        repeated = np.unique(readings[1:][changes == 0.0])
+        is_step = changes > LEAST_STEP * np.diff(repeated).min(initial=np.inf)
+        is_level = np.isin(readings, repeated) | (np.append(True, is_step) & np.append(is_step, True))
         time, readings = time[is_level], readings[is_level]
     at = np.flatnonzero(np.diff(readings))
     if not len(at):

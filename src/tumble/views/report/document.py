@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tumble.arguments import checked
+from tumble.earth import EARTH_RATE
 from tumble.errors import InputError
 from tumble.files import FilePath, ending_in, whole_file
 from tumble.result import further
@@ -48,7 +49,7 @@ def write_report(calibrations: Calibration | FilePath | Sequence[Calibration | F
     Returns
     -------
     list of str
-        Reasons why calibrations are not accepted.
+        Sentences on calibrations that are not accepted, with the reasons.
 
     Raises
     ------
@@ -156,7 +157,9 @@ def verdict_on(calibrations: Sequence[Calibration]) -> tuple[str, Tone]:
 
 def reasons_of(sources: Sequence[ReportedFile]) -> list[str]:
     """Return the reasons why calibrations are not accepted, each with its file."""
-    return [f"{source.file}: {reason}" for source in sources for reason in source.calibration.outcome.reasons]
+    return [
+        f"not accepted: {source.file}: {reason}" for source in sources for reason in source.calibration.outcome.reasons
+    ]
 
 
 # -------------------- sections --------------------
@@ -180,6 +183,7 @@ def annexes(calibration: Calibration, key: str, *, short: bool = False) -> Itera
     recordings = recording.recordings(calibration)
     yield application.application(calibration)
     yield result.launches(calibration)
+    yield result.iterations(calibration)
     yield result.beyond(calibration, groups=not short)
     yield over_temperature.section(calibration, f"{key}-temperature")
     yield recording.sites(recordings)
@@ -229,6 +233,10 @@ def front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], .
         *(recording.site_facts(recordings[0].recorded.site) if first.provenance.site is not None else ()),
         ("temperature", recording.temperature(recordings)),
     ]
+    if first.gyro is not None:
+        clock = first.provenance.clock_u
+        rows.append(("time base", f"U = {significant(2e6 * clock, 2)} ppm (k = 2)" if clock else "taken as exact"))
+        rows.append(("rate of the Earth", f"{significant(EARTH_RATE, 7)} rad/s, taken as exact"))
     circumstances, air = first.provenance.circumstances, first.provenance.circumstances.conditions
     if air.temperature_degC is not None:
         u = "" if air.temperature_u is None else f", U = {significant(2.0 * air.temperature_u, 2)} °C (k = 2)"

@@ -18,9 +18,10 @@ from tumble.result.calibration import Calibration
 from tumble.result.further import has_redundancy, rest_summary
 from tumble.result.parts import Launch, TurnResult
 from tumble.rotation import unit_vector
+from tumble.run.calibrate import ITERATED_METHODS
 from tumble.units import DEGREE, G_STANDARD, Array
 from tumble.views.blocks import Block, Facts, Figure, Section, Table, Text, section, table
-from tumble.views.numbers import NONE, fixed, in_engineering, significant
+from tumble.views.numbers import NONE, fixed, in_engineering, minus, significant
 from tumble.views.report import figures
 
 MICRO_G = 1e-6 * G_STANDARD
@@ -79,7 +80,7 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
     gravity += f"; {against}" if against is not None else ""
     if site.latitude is None:
         return (("latitude", NONE), ("gravity", gravity))
-    place = (("latitude", f"{fixed(site.latitude / DEGREE, 5)}°"), ("height", f"{fixed(site.height, 1)} m"))
+    place = (("latitude", f"{minus(f'{site.latitude / DEGREE:.8g}')}°"), ("height", f"{fixed(site.height, 1)} m"))
     return (*place, ("gravity", gravity))
 
 
@@ -107,7 +108,8 @@ def rests_and_turns(recording: RecordedSession) -> Section | None:
 def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, Table | None]:
     """Return tables of the rests, turns and fits."""
     recorded = recording.recorded
-    return _rest_table(recording) if recorded.rests else None, _turn_table(recorded.turns), _fit_table(recorded.fits)
+    rests = _rest_table(recording) if recorded.rests else None
+    return rests, _turn_table(recorded.turns), _fit_table(recorded.fits, recording.calibration.method)
 
 
 def _programme_text(recording: RecordedSession) -> str:
@@ -145,7 +147,10 @@ def _rest_table(recording: RecordedSession) -> Table:
         row |= {"residual µg": f"{rest.residual / MICRO_G:z.1f}", "sigmas": f"{rest.sigmas:.1f}"}
         row |= {"T °C": "" if rest.temperature is None else f"{rest.temperature:z.1f}"} if warm else {}
         rows.append(row)
-    caption = "Rests." if verticals is None else "Rests. X, Y, Z: the vertical in the body as it was found."
+    caption = (
+        "Rests. Sigmas: distance from the fit, as standard deviations of a normal distribution of the same probability."
+    )
+    caption += "" if verticals is None else " X, Y, Z: the vertical in the body as it was found."
     return table(rows, words=("position", "code"), caption=caption, dense=True)
 
 
@@ -168,7 +173,7 @@ def _turn_table(turns: Sequence[TurnResult]) -> Table | None:
 
 def residuals(recording: RecordedSession, name: str) -> Section | None:
     """Return the section on residuals, with a figure if it has a `name`, and chi-square tests."""
-    title, fits = recording.titled("Residuals"), _fit_table(recording.recorded.fits)
+    title, fits = recording.titled("Residuals"), tables_of(recording)[2]
     if not recording.recorded.rests:
         return section(title, fits) if fits else None
     picture = None
@@ -178,8 +183,8 @@ def residuals(recording: RecordedSession, name: str) -> Section | None:
     return section(title, f"{rest_summary(recording.recorded)}.", picture, fits)
 
 
-def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
-    """Return a table of the chi-square of each kind of residuals, and the scatter that was added."""
+def _fit_table(fits: Mapping[str, Fit], method: str) -> Table | None:
+    """Return a table of the chi-square of each kind of residuals by a method, and the scatter that was added."""
     rows = [
         {
             "residuals of": name,
@@ -194,6 +199,11 @@ def _fit_table(fits: Mapping[str, Fit]) -> Table | None:
         "Probability: of a larger chi-square by chance alone. Scatter added: what the residuals show beyond the noise "
         "within rests; it is in every uncertainty. Noise within rests: the residuals if nothing were added."
     )
+    if method in ITERATED_METHODS:
+        caption += (
+            f" These, all sigmas and the angles of turns are of the method joint, whose noise and scatter are in U of "
+            f"{method}; the residuals of rests in µg are of {method}."
+        )
     return table(rows, words=("residuals of",), caption=caption) if rows else None
 
 

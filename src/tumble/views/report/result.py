@@ -23,10 +23,17 @@ from tumble.result.further import (
 )
 from tumble.result.parts import Parameter
 from tumble.result.unaided import improvement
+from tumble.run.calibrate import ITERATED_METHODS
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import sensor_kind
 from tumble.views.blocks import Block, Facts, Figure, Items, Section, Table, Text, Tone, section, table
-from tumble.views.calibration import group_table, launch_table, unknown_blocks
+from tumble.views.calibration import (
+    MEANING_OF_INCREMENTS,
+    group_table,
+    iteration_table,
+    launch_table,
+    unknown_blocks,
+)
 from tumble.views.numbers import (
     NONE,
     cells,
@@ -35,6 +42,7 @@ from tumble.views.numbers import (
     fixed,
     percent,
     quantity_table,
+    run_to_run,
     shown_units,
     significant,
     to_digits_of,
@@ -81,9 +89,7 @@ def verdict_blocks(calibration: Calibration) -> list[Block]:
             "Accepted with scatter: the noise within the rests does not explain all residuals. Their scatter is in U."
         )
     else:
-        verdict = (
-            "Accepted: the recording determines every parameter given here, and its residuals agree with the model."
-        )
+        verdict = "Accepted: every parameter given here is observable, and the residuals agree with the model."
         if unchecked := " and ".join(name for name, fit in calibration.evidence.fits.items() if fit.degrees < 0.5):
             verdict += f" Nothing checks the {unchecked}: there are no more data than unknowns."
     blocks: list[Block] = [Text(text=verdict, tone=tone)]
@@ -97,18 +103,9 @@ def value_blocks(calibration: Calibration, further: Cells | None = None) -> list
     """Return the linear parameters with U and `further` cells, the meaning of U, and the u of corrected readings."""
     blocks: list[Block] = []
     if calibration.parameters:
-        if len(calibration.evidence.launches) > 1:
-            scope = (
-                f"It is of the mean of {len(calibration.evidence.launches)} power-ons; a single later one lies about "
-                "the mean with the standard deviation “run to run”, which comes on top."
-            )
-        elif calibration.evidence.together:
-            scope = "It is of all recorded power-ons together; what changes at the next one comes on top."
-        else:
-            scope = "It is of the one power-on that was recorded; what changes at the next one is not in it."
         meaning = (
             "U = k u is the expanded uncertainty, which covers 95.45 %: k = 2 where u is known, more, by Student's t "
-            f"with ν degrees of freedom, where it was estimated from few residuals. {scope} "
+            f"with ν degrees of freedom, where it was estimated from few residuals. {scope_of_u(calibration)} "
             '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.'
         )
         blocks += [_parameter_table(calibration, further), Text(text=meaning, tone="small")]
@@ -126,6 +123,18 @@ def value_blocks(calibration: Calibration, further: Cells | None = None) -> list
     return blocks
 
 
+def scope_of_u(calibration: Calibration) -> str:
+    """Return a sentence on the power-ons to which U applies."""
+    if count := len(calibration.evidence.launches):
+        return (
+            f"It is of the mean of {count} power-ons; a single later one lies about the mean with the standard "
+            "deviation “run to run”, which comes on top."
+        )
+    if calibration.evidence.together:
+        return "It is of all recorded power-ons together; what changes at the next one comes on top."
+    return "It is of the one power-on that was recorded; what changes at the next one is not in it."
+
+
 def _parameter_table(calibration: Calibration, further: Cells | None) -> Table:
     """Return the linear parameters with U and, if any, coverage factors other than 2, and deviations from the
     systematic values and between launches."""
@@ -138,7 +147,7 @@ def _parameter_table(calibration: Calibration, further: Cells | None) -> Table:
         row = {"": parameter_words(p.name), "mean" if calibration.evidence.launches else "value": value}
         row |= {"U (95 %)": shown, "unit": unit}
         row |= {"k": factor(p), "ν": degrees(p)} if factors else {}
-        row |= {"run to run": to_digits_of(p.run_to_run, U, size)} if calibration.evidence.launches else {}
+        row |= {"run to run": run_to_run(p.run_to_run, size)} if calibration.evidence.launches else {}
         row |= {"from nominal": to_digits_of(p.deviation, U, size)} if passport else {}
         return row | ({} if further is None else further(p, size))
 
@@ -212,19 +221,17 @@ def launches(calibration: Calibration) -> Section | None:
     return section("Launches", *blocks, Facts(rows=digests))
 
 
-def correlations(calibration: Calibration) -> Section | None:
-    """State what U covers, with the strongest correlations."""
-    if calibration.covariance is None:
+def iterations(calibration: Calibration) -> Section | None:
+    """Return the increments of every iteration of a method of the paper."""
+    if calibration.method not in ITERATED_METHODS or not calibration.evidence.iterations:
         return None
-    names = [p.name for p in calibration.parameters]
-    u = np.sqrt(np.diag(calibration.covariance))
-    scale = np.where(u > 0.0, u, 1.0)
-    r = np.clip(calibration.covariance / scale[:, None] / scale, -1.0, 1.0)
-    p, q = np.tril_indices(len(names), -1)
-    order = np.argsort(-np.abs(r[p, q]), kind="stable")[:_LISTED_CORRELATIONS]
-    rows = [
-        {"parameter": names[p[i]], "with": names[q[i]], "coefficient": fixed(float(r[p[i], q[i]]), 3)} for i in order
-    ]
+    steps = iteration_table(calibration, linear_parameters(calibration.parameters))
+    count = f"{len(calibration.evidence.iterations)} iterations of the method {calibration.method}. "
+    return section("Iterations", count + MEANING_OF_INCREMENTS, replace(steps, dense=True))
+
+
+def contents_of_u(calibration: Calibration) -> str:
+    """Return sentences on what U contains and what it leaves out."""
     meaning = (
         "U contains the noise at rest and in turns, the scatter between rests that the residuals show, and the stated "
         "uncertainty of gravity; of several launches also their instability. "
@@ -240,9 +247,25 @@ def correlations(calibration: Calibration) -> Section | None:
             "It does not contain what one recording cannot show: changes with temperature and age, nonlinearity that "
             "is the same in every rest, and an error of gravity larger than stated."
         )
+    return meaning
+
+
+def correlations(calibration: Calibration) -> Section | None:
+    """State what U covers, with the strongest correlations."""
+    if calibration.covariance is None:
+        return None
+    names = [p.name for p in calibration.parameters]
+    u = np.sqrt(np.diag(calibration.covariance))
+    scale = np.where(u > 0.0, u, 1.0)
+    r = np.clip(calibration.covariance / scale[:, None] / scale, -1.0, 1.0)
+    p, q = np.tril_indices(len(names), -1)
+    order = np.argsort(-np.abs(r[p, q]), kind="stable")[:_LISTED_CORRELATIONS]
+    rows = [
+        {"parameter": names[p[i]], "with": names[q[i]], "coefficient": fixed(float(r[p[i], q[i]]), 3)} for i in order
+    ]
     strongest = (
         "The covariance of two parameters is their coefficient times both standard uncertainties; all of it is in "
         "the calibration file, which is the data annex. The strongest:"
     )
     listed: list[Block] = [strongest, table(rows, words=("parameter", "with"))] if rows else []
-    return section("Covariance and correlations", meaning, *listed)
+    return section("Covariance and correlations", contents_of_u(calibration), *listed)
