@@ -65,6 +65,8 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
 def array_of(what: str, given: npt.ArrayLike | None) -> Array:
     """Return an array of real numbers from an array, a sequence or a frame. Raises InputError for anything else."""
+    if type(given) is np.ndarray and given.dtype.char == "d":
+        return given
     if isinstance(given, np.ma.MaskedArray) and np.ma.is_masked(given):
         masked = int(np.ma.getmaskarray(given).sum())
         raise InputError(f"{what}: expected numbers, found {masked} that are masked; cut or fill them")
@@ -74,7 +76,7 @@ def array_of(what: str, given: npt.ArrayLike | None) -> Array:
         numbers = np.asarray(given)
         dtypes: Any = getattr(given, "dtypes", None)  # one for each column of a frame
         if dtypes is None and numbers.dtype.kind == "f":
-            return numbers.astype(np.float64, copy=False)
+            return numbers if numbers.dtype.char == "d" else numbers.astype(np.float64)
         if dtypes is None:
             dtypes = getattr(given, "dtype", None) or numbers.dtype
         for dtype in map(str, np.ravel(dtypes)):

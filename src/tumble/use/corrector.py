@@ -316,7 +316,9 @@ class Corrector:
         readings = self._rows("accel", accel, self._sizes[0])
         turned = None if gyro is None and not self._sizes[1] else self._rows("gyro", gyro, self._sizes[1])
         count = len(readings)
-        stamps = None if time is None else np.atleast_1d(array_of("time", time))
+        stamps = np.array([time]) if isinstance(time, float) else None
+        if time is not None and stamps is None:
+            stamps = np.atleast_1d(array_of("time", time))
         if (turned is not None and len(turned) != count) or (stamps is not None and stamps.shape != (count,)):
             raise InputError(
                 f"expected as many gyro readings and stamps as there are accel readings, {count}, found "
