@@ -106,7 +106,7 @@ def test_a_turn_between_rests_that_are_not_there_is_named() -> None:
         (
             "session",
             {"conditions": {"humidity_percent": "dry"}},
-            'session.conditions.humidity_percent: expected a number, found "dry"',
+            'session.conditions.humidity_percent: expected a number from 0 to 100 (%), found "dry"',
         ),
         ("session", {"equipment": "a table"}, 'session.equipment: expected a list, found "a table"'),
         ("together", [{}], "together[1].session: expected this key, found none"),

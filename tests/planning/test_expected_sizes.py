@@ -70,11 +70,11 @@ def test_the_time_base_is_in_the_scale_factors_of_the_gyros_together() -> None:
     ids=["mems on the rough table", "navigation in a cube"],
 )
 def test_plan_states_what_calibrate_will(setup: Setup) -> None:
-    """Eight instruments: the rms u of each group of the linear model to 10 %. Positions come in the order of the
+    """Sixteen instruments: the rms u of each group of the linear model to 10 %. Positions come in the order of the
     programme, as `stated` takes them."""
     setup = replace(setup, programme=replace(setup.programme, ordered=True), clock_u=0.0)
     variances = []
-    for seed in range(8):
+    for seed in range(16):
         rng = np.random.default_rng(100 + seed)
         estimate = joint(simulate_observations(scenario_of(setup, rng), rng))
         variances.append(np.diag(estimate.covariance))

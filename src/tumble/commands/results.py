@@ -11,7 +11,6 @@ import click
 from tumble.commands import console, params
 from tumble.commands.recordings import is_log, session_folders
 from tumble.errors import InputError
-from tumble.units import DEGREE
 
 if TYPE_CHECKING:
     from tumble.result.launch_variances import LaunchVariances
@@ -82,6 +81,7 @@ def check(
 def _stated(calibration: Path) -> dict[str, Any]:
     """Return serial number and place of a calibration as options for a log."""
     from tumble.result.calibration import read_calibration
+    from tumble.units import DEGREE
 
     made = read_calibration(calibration)
     site = made.provenance.site
