@@ -114,8 +114,7 @@ def origin(calibration: Calibration) -> list[str]:
         if readings is not None and readings.unit in ("count", "V"):
             scale, offset = (" ".join(f"{number:g}" for number in row) for row in (readings.scale, readings.offset))
             lines.append(f"{kind} readings in {UNITS[kind]} are (raw - offset) / scale: offset {offset}, scale {scale}")
-    doubts = (sentence for sentence in made_by.assumptions if sentence.startswith("doubt: "))
-    return [one_line(line) for line in (*lines, *made_by.absent, *doubts)]
+    return [one_line(line) for line in (*lines, *made_by.absent, *made_by.doubts)]
 
 
 def one_line(text: str) -> str:

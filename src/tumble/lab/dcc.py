@@ -56,7 +56,7 @@ _UNITS = {"m": "metre", "s": "second", "rad": "radian", "K": "kelvin", "degC": "
 _UNITS |= {"hPa": "hecto\\pascal"}
 _FACTOR = re.compile(r"(?P<over>[*/]|^)(?P<unit>[A-Za-z%]+|1)(?:\^(?P<power>\d))?")
 _CONFORMITY = {"conditional pass": "conditionalPass", "conditional fail": "conditionalFail"}
-_CONFORMITY |= {result: result for result in ("pass", "fail")}
+_CONFORMITY |= {"pass": "pass", "fail": "fail"}
 """Results by their names in the schema, which has none for undecided."""
 
 U_DIGITS = 3  # digits of u and U: two significant digits, and one that makes rounding negligible
@@ -85,10 +85,10 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
     check_certificate(certificate, calibration)
     limits = certificate_limits(certificate)
     checks = () if limits is None else tuple(judge_calibration(calibration, limits))
-    losses = (*LOSSES, *table_notes(calibration))
     inertial = [p for p in calibration.parameters if sensor_kind(p.name) != "mag"]
     provenance, circumstances = calibration.provenance, calibration.provenance.circumstances
     name, _, release = (provenance.software or "tumble 0").partition(" ")
+    traceable = {_quantity(each) for each in certificate.traceability} - {""}
     same_frame = [verdict for verdict in checks if verdict.frame == calibration.frame]
     environment = escaping_environment("tumble.lab")
     environment.filters["line"] = lambda text: " ".join(plain(text).split())
@@ -100,12 +100,10 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
         device=calibration.device,
         declarations=[*filter(None, [statement_of_priors(calibration)]), SCOPE_STATEMENT, *certificate.remarks],
         traced="; ".join(certificate.traceability or circumstances.equipment),
-        standards={_head(each) for each in circumstances.equipment}
-        & {_head(each) for each in certificate.traceability},
         contents_of_u=f"{scope_of_u(calibration)} {contents_of_u(calibration)}",
         origin="; ".join(origin(calibration)),
         method=calibration.method,
-        equipment=[(each, _head(each)) for each in circumstances.equipment],
+        equipment=[(each, _quantity(each) in traceable) for each in circumstances.equipment],
         conditions=_conditions(calibration),
         probability=f"{PROBABILITY:g}",
         parameters=[_parameter(p, same_frame) for p in inertial],
@@ -115,7 +113,7 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
     lines = (line.strip() for line in content.splitlines())
     return Exported(
         content="\n".join(filter(None, lines)).encode() + b"\n",
-        losses=losses,
+        losses=(*LOSSES, *table_notes(calibration)),
         reasons=tuple(f"{each.occasion} check: {'; '.join(each.reasons)}" for each in checks if each.result != "pass"),
     )
 
@@ -130,7 +128,7 @@ TARGET = Target(
 """Target of `tumble export --to dcc`."""
 
 
-def _head(equipment: str) -> str:
+def _quantity(equipment: str) -> str:
     """Return the quantity of "gravity: network point 4711"; empty without one."""
     quantity, colon, _ = equipment.partition(":")
     return quantity if colon else ""
@@ -175,9 +173,9 @@ def _parameter(parameter: Parameter, verdicts: Sequence[Verdict]) -> dict[str, A
             largest = max((abs(limit) for limit in interval if np.isfinite(limit)), default=0.0)
             size, unit = shown_in(judgement.name, judgement.unit, largest)
             low, high = (f"{limit / size:.6g}" for limit in interval)
-            statement = {"name": f"{verdict.occasion} check", "agreed": None, "norm": None}
-            statement |= {"declaration": f"limits {low} to {high} {unit}"}
-            statements.append(statement | {"conformity": _CONFORMITY[judgement.result]})
+            statement = {"name": f"{verdict.occasion} check", "declaration": f"limits {low} to {high} {unit}"}
+            statement |= {"agreed": None, "norm": None, "conformity": _CONFORMITY[judgement.result]}
+            statements.append(statement)
     basis = "no uncertainty is stated"
     if parameter.u is not None:
         known, dof = "u is known (infinite degrees of freedom)", parameter.dof
