@@ -129,8 +129,7 @@ class Triad:
             warmer = celsius - self.reference
             offset = offset + self.slopes @ [warmer, warmer**2, warmer**3]
         worked = linear_example(self.kind, model)
-        becomes = (worked.reading - offset) * self.factor
-        return example_line(self.kind, worked.reading, worked.true, becomes, where)
+        return example_line(self.kind, worked, (worked.reading - offset) * self.factor, where)
 
 
 def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None, *, thermal: bool) -> list[Triad]:

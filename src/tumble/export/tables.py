@@ -114,17 +114,13 @@ def csv_thermal(calibration: Calibration) -> Exported:
         lacks=["parameters that do not change with temperature", "covariances"],
     )
     warm = example_temperature(measured)
+    at_warm = {kind: linear_example(kind, calibration.compensator.model(kind, warm)) for kind in by_kind}
     comments = [
         *origin(calibration),
         f"reference temperature {calibration.reference_temperature:g} degC; measured from {measured.low:.1f} to "
         f"{measured.high:.1f} degC, nothing is known outside",
         *thermometer_notes(calibration),
-        *(
-            example_line(kind, worked.reading, worked.true, where=f" at {warm!r} degC")
-            for kind, worked in (
-                (kind, linear_example(kind, calibration.compensator.model(kind, warm))) for kind in by_kind
-            )
-        ),
+        *(example_line(kind, worked, where=f" at {warm!r} degC") for kind, worked in at_warm.items()),
         *losses,
     ]
     rows = [["temperature_degC", *(title for each in curves for title in (each.name, f"U({each.name})"))]]

@@ -41,7 +41,7 @@ from tumble.result.correction import linear_example
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
 from tumble.result.further import parameter_words
 from tumble.result.parts import Parameter, stated_factor
-from tumble.sensors.model import UNITS, SensorKind, SensorModel
+from tumble.sensors.model import UNITS, WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array
 from tumble.views.render.pages import escaping_environment
@@ -60,8 +60,6 @@ _CONFORMITY |= {"pass": "pass", "fail": "fail"}
 """Results by their names in the schema, which has none for undecided."""
 
 U_DIGITS = 3  # digits of u and U: two significant digits, and one that makes rounding negligible
-
-_TITLES = {"accel": "accelerometers", "gyro": "gyros"}
 
 
 def d_si(unit: str) -> str:
@@ -107,7 +105,7 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
         conditions=_conditions(calibration),
         probability=f"{PROBABILITY:g}",
         parameters=[_parameter(p, same_frame) for p in inertial],
-        models={_TITLES[kind]: _model(kind, model) for kind, model in by_kind.items()},
+        models={WORDS[kind]: _model(kind, model) for kind, model in by_kind.items()},
         statements=[_conformity(verdict, certificate.agreed) for verdict in checks],
     )
     lines = (line.strip() for line in content.splitlines())
@@ -173,9 +171,8 @@ def _parameter(parameter: Parameter, verdicts: Sequence[Verdict]) -> dict[str, A
             largest = max((abs(limit) for limit in interval if np.isfinite(limit)), default=0.0)
             size, unit = shown_in(judgement.name, judgement.unit, largest)
             low, high = (f"{limit / size:.6g}" for limit in interval)
-            statement = {"name": f"{verdict.occasion} check", "declaration": f"limits {low} to {high} {unit}"}
-            statement |= {"agreed": None, "norm": None, "conformity": _CONFORMITY[judgement.result]}
-            statements.append(statement)
+            words = {"name": f"{verdict.occasion} check", "declaration": f"limits {low} to {high} {unit}"}
+            statements.append(words | {"agreed": None, "norm": None, "conformity": _CONFORMITY[judgement.result]})
     basis = "no uncertainty is stated"
     if parameter.u is not None:
         known, dof = "u is known (infinite degrees of freedom)", parameter.dof

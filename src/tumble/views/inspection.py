@@ -20,7 +20,6 @@ from tumble.views.render.pictures import COLOURS, write_picture
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 UPRIGHT = 0.98  # cosine of 11°: an axis nearer to the vertical is up or down
 
 _REST_COLOUR, _TURN_COLOUR = "#e3e8ee", "#f6e3d6"

@@ -95,9 +95,8 @@ def _draw(axes: Axes, panel: Panel) -> None:
     for i, (channel, parameters) in enumerate(zip(panel.channels, panel.parameters, strict=True)):
         colour = f"C{i}"
         low, middle, high = (band[:, i] / size for band in (allan.low, allan.deviation, allan.high))
-        caption = ", ".join(
-            f"{s.symbol} = {s.value} ± {s.u} {s.unit}" for s in coefficient_rows(parameters, panel.unit)
-        )
+        rows = coefficient_rows(parameters, panel.unit)
+        caption = ", ".join(f"{s.symbol} = {s.value} ± {s.u} {s.unit}" for s in rows)
         axes.fill_between(tau, low, high, color=colour, alpha=0.2, linewidth=0.0)
         axes.plot(tau, middle, color=colour, linewidth=1.5, label=f"{channel}: {caption}" if caption else channel)
         terms = parameters.variances(tau)
