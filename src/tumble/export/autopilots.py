@@ -29,16 +29,7 @@ from pydantic import BaseModel, ConfigDict
 from scipy.linalg import polar
 
 from tumble.errors import InputError
-from tumble.export.exported import (
-    MAGNETOMETER,
-    Exported,
-    example_line,
-    in_units,
-    notes_of,
-    origin,
-    shown,
-    triads,
-)
+from tumble.export.exported import MAGNETOMETER, Exported, example_line, in_units, notes_of, origin, shown, triads
 from tumble.export.templates import front_of, render_layout
 from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.calibration import Calibration

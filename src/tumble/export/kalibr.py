@@ -21,15 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.export.exported import (
-    Exported,
-    example_line,
-    g_sensitivity,
-    notes_of,
-    origin,
-    shown,
-    triads,
-)
+from tumble.export.exported import Exported, example_line, g_sensitivity, notes_of, origin, shown, triads
 from tumble.export.templates import render_layout
 from tumble.files import FilePath
 from tumble.recording.session import Session

@@ -171,8 +171,9 @@ def _parameter(parameter: Parameter, verdicts: Sequence[Verdict]) -> dict[str, A
             largest = max((abs(limit) for limit in interval if np.isfinite(limit)), default=0.0)
             size, unit = shown_in(judgement.name, judgement.unit, largest)
             low, high = (f"{limit / size:.6g}" for limit in interval)
-            words = {"name": f"{verdict.occasion} check", "declaration": f"limits {low} to {high} {unit}"}
-            statements.append(words | {"agreed": None, "norm": None, "conformity": _CONFORMITY[judgement.result]})
+            statement = {"name": f"{verdict.occasion} check", "agreed": None, "norm": None}
+            statement |= {"declaration": f"limits {low} to {high} {unit}"}
+            statements.append(statement | {"conformity": _CONFORMITY[judgement.result]})
     basis = "no uncertainty is stated"
     if parameter.u is not None:
         known, dof = "u is known (infinite degrees of freedom)", parameter.dof

@@ -106,10 +106,10 @@ def quantity_table(
     return table(rows, words={name, "unit", *words}, caption=caption, dense=dense, halves=halves)
 
 
-def in_engineering(unit: str, value: float) -> str:
-    """Format a quantity of an SI unit to three digits with an engineering unit; a dash if infinite."""
+def in_engineering(unit: str, value: float, digits: int = 3) -> str:
+    """Format a quantity of an SI unit with an engineering unit; a dash if infinite."""
     size, shown = engineering(unit, value)
-    return f"{value / size:.3g} {shown}" if math.isfinite(value) else "–"
+    return f"{value / size:.{digits}g} {shown}" if math.isfinite(value) else "–"
 
 
 def probability_text(probability: float) -> str:
