@@ -263,7 +263,7 @@ def test_what_a_session_must_state_is_said_and_counts_as_calibrate_counts_it() -
     assert u["gyro.scale"] == pytest.approx(1e-2, rel=1e-3)
     assert u["accel.scale"] == pytest.approx(4e-3 / 9.816, rel=1e-3)
     height, clock = found["assumptions"]
-    assert "where it states neither, 408 ppm are in u" in height
+    assert "where it states neither gravity nor height, 408 ppm are in u" in height
     assert "1e+04 ppm of gyro.scale" in clock
     assert height in " ".join(run("--gravity-u", "4e-3").stdout.split())
 
