@@ -50,8 +50,8 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
         console.answer(f"doubt: {'; '.join(draft.doubts)}")
 
 
-_SAID = re.compile(r"^undone: |\(--message takes another\)$")
-"""Notes on a recording that are always printed."""
+_ALWAYS_PRINTED = re.compile(r"^undone: |\(--message takes another\)$")
+"""Notes on corrections of a recording and on other sensors in it."""
 
 
 @contextmanager
@@ -76,7 +76,7 @@ def session_folders(
 
     with session_of_log(first, params.given_of(options), console.with_progress) as (folder, state, sentences, faults):
         for sentence in sentences:
-            if every or _SAID.search(sentence):
+            if every or _ALWAYS_PRINTED.search(sentence):
                 console.say(sentence)
         for fault in faults:
             console.warn(f"look at this: {fault}")

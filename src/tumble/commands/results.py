@@ -60,7 +60,7 @@ def check(
         assert readings is not None
         launches: tuple[LaunchVariances, ...] = ()
         of_log = is_log(readings) and not is_table(readings)
-        described = session_folders([readings], _stated(calibration)) if of_log else nullcontext([readings])
+        described = session_folders([readings], _serial_and_place(calibration)) if of_log else nullcontext([readings])
         with described as (checked,):
             if registry is not None:
                 with params.opened(registry) as opened:
@@ -78,16 +78,18 @@ def check(
     console.end([*found.reasons[:MOST_SHOWN], *([f"and {more} more"] if more > 0 else [])], "changed: ")
 
 
-def _stated(calibration: Path) -> dict[str, Any]:
+def _serial_and_place(calibration: Path) -> dict[str, Any]:
     """Return serial number and place of a calibration as options for a log."""
     from tumble.result.calibration import read_calibration
     from tumble.units import DEGREE
 
     made = read_calibration(calibration)
     site = made.provenance.site
-    latitude = None if site is None or site.latitude is None else site.latitude / DEGREE
-    height = None if site is None or latitude is None or site.assumed == "height" else site.height
-    return {"serial": made.serial, "latitude": latitude, "height": height, "accel": None, "gyro": None}
+    options = {"serial": made.serial, "latitude": None, "height": None, "accel": None, "gyro": None}
+    if site is None or site.latitude is None:
+        return options
+    height = None if site.assumed == "height" else site.height
+    return options | {"latitude": site.latitude / DEGREE, "height": height}
 
 
 def _show(event: Event) -> None:

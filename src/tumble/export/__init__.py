@@ -101,9 +101,8 @@ def target(name: str) -> Target:
     """Return the target with a name. Raises InputError for any other name."""
     found = _find(name)
     if found is None:
-        longer = next((each for each in targets() if name and each.startswith(name)), "")
-        longer = longer or {"arduino": "c", "esp32": "c", "stm32": "c"}.get(name.lower(), "")
-        advice = did_you_mean(longer or name, targets())
+        longer = next((each for each in targets() if name and each.startswith(name)), name)
+        advice = did_you_mean("c" if name.lower() in ("arduino", "esp32", "stm32") else longer, targets())
         raise InputError(f"export: expected one of {', '.join(targets())}, found {name!r}{advice}")
     return found if isinstance(found, Target) else _template_target(found, name)
 
@@ -208,8 +207,8 @@ def export_calibration(
         if option not in chosen_options:
             raise InputError(f"export to {name}: expected {_option_name(option)}, found none")
     exported = chosen.write(calibration, **chosen_options)
-    doubts = (sentence for sentence in calibration.provenance.assumptions if sentence.startswith("doubt: "))
-    return replace(exported, losses=(*calibration.provenance.absent, *doubts, *exported.losses))
+    origin = calibration.provenance
+    return replace(exported, losses=(*origin.absent, *origin.doubts, *exported.losses))
 
 
 def _option_name(name: str) -> str:

@@ -29,16 +29,7 @@ from pydantic import BaseModel, ConfigDict
 from scipy.linalg import polar
 
 from tumble.errors import InputError
-from tumble.export.exported import (
-    MAGNETOMETER,
-    Exported,
-    example_line,
-    in_units,
-    notes_of,
-    origin,
-    shown,
-    triads,
-)
+from tumble.export.exported import MAGNETOMETER, Exported, example_line, in_units, notes_of, origin, shown, triads
 from tumble.export.templates import front_of, render_layout
 from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.calibration import Calibration
@@ -129,8 +120,7 @@ class Triad:
             warmer = celsius - self.reference
             offset = offset + self.slopes @ [warmer, warmer**2, warmer**3]
         worked = linear_example(self.kind, model)
-        becomes = (worked.reading - offset) * self.factor
-        return example_line(self.kind, worked.reading, worked.true, becomes, where)
+        return example_line(self.kind, worked, (worked.reading - offset) * self.factor, where)
 
 
 def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | None, *, thermal: bool) -> list[Triad]:

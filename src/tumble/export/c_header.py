@@ -66,7 +66,7 @@ def c_header(calibration: Calibration) -> Exported:
     for kind, worked in examples(compensator, list(by_kind)).items():
         force = " in that specific force" if "accel" in by_kind else " without a specific force"
         where = force if BY_FORCE.keys() & nonlinear_tables(compensator, kind).keys() else ""
-        comments.append(example_line(kind, worked.reading, worked.true, where=where))
+        comments.append(example_line(kind, worked, where=where))
     if thermal:
         measured = measured_range(calibration)
         span = "" if measured is None else f", measured from {measured.low:.1f} to {measured.high:.1f}"

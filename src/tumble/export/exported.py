@@ -16,7 +16,7 @@ import numpy as np
 from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.result.calibration import Calibration
-from tumble.result.correction import best_linear_model, correction_errors, session_rate
+from tumble.result.correction import Example, best_linear_model, correction_errors, session_rate
 from tumble.result.temperature_curves import measured_range
 from tumble.sensors.model import UNITS, WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import (
@@ -58,14 +58,13 @@ class Exported(Brief):
     reasons: tuple[str, ...] = ()
 
 
-def example_line(kind: SensorKind, reading: Array, true: Array, becomes: Array | None = None, where: str = "") -> str:
-    """Return a worked example as a comment: a reading, the result of the target if it differs, and the true vector,
-    SI."""
-    result = f"is {shown(true.round(9))}"
+def example_line(kind: SensorKind, worked: Example, becomes: Array | None = None, where: str = "") -> str:
+    """Return a worked example as a comment, with the result of the target if it differs, SI."""
+    result = f"is {shown(worked.true.round(9))}"
     if becomes is not None:
-        near, exact = shown(becomes.round(6)), shown(true.round(6))
+        near, exact = shown(becomes.round(6)), shown(worked.true.round(6))
         result = f"is {exact}" if near == exact else f"becomes {near}; it is {exact}"
-    return f"example {kind}{where}: reading {shown(reading)} {result} {UNITS[kind]}"
+    return f"example {kind}{where}: reading {shown(worked.reading)} {result} {UNITS[kind]}"
 
 
 def models(calibration: Calibration) -> dict[SensorKind, SensorModel]:
@@ -114,8 +113,7 @@ def origin(calibration: Calibration) -> list[str]:
         if readings is not None and readings.unit in ("count", "V"):
             scale, offset = (" ".join(f"{number:g}" for number in row) for row in (readings.scale, readings.offset))
             lines.append(f"{kind} readings in {UNITS[kind]} are (raw - offset) / scale: offset {offset}, scale {scale}")
-    doubts = (sentence for sentence in made_by.assumptions if sentence.startswith("doubt: "))
-    return [one_line(line) for line in (*lines, *made_by.absent, *doubts)]
+    return [one_line(line) for line in (*lines, *made_by.absent, *made_by.doubts)]
 
 
 def one_line(text: str) -> str:

@@ -16,20 +16,12 @@ calibration"; Rehder et al., Extending Kalibr, ICRA 2016.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tumble.errors import InputError
-from tumble.export.exported import (
-    Exported,
-    example_line,
-    g_sensitivity,
-    notes_of,
-    origin,
-    shown,
-    triads,
-)
+from tumble.export.exported import Exported, example_line, g_sensitivity, notes_of, origin, shown, triads
 from tumble.export.templates import render_layout
 from tumble.files import FilePath
 from tumble.recording.session import Session
@@ -117,16 +109,14 @@ def kalibr(calibration: Calibration, *, noise: NoiseDensities | Session | FilePa
         lacks=[f"biases, which OpenVINS estimates while it runs: {biases}", "noise of single axes", "uncertainties"],
         see_to=dict.fromkeys([*noise.accel.bounds, *noise.gyro.bounds]),
     )
+    worked = {kind: linear_example(kind, model) for kind, model in by_kind.items()}
     is_same_frame = np.allclose(to_accel, np.eye(3), rtol=0.0, atol=1e-12)
     comments = [
         *origin(calibration),
         f"noise from {noise.source}",
         *([] if is_same_frame else [f"IMU frame: rows in the frame of the calibration {shown(to_accel)}"]),
         "set rostopic" if noise.rate is not None else "set rostopic, add update_rate",
-        *(
-            example_line(kind, worked.reading, to_accel @ worked.true)
-            for kind, worked in ((kind, linear_example(kind, model)) for kind, model in by_kind.items())
-        ),
+        *(example_line(kind, replace(each, true=to_accel @ each.true)) for kind, each in worked.items()),
         *(["the example of the gyros is without acceleration"] if np.any(sensitivity) else []),
         *losses,
     ]

@@ -27,16 +27,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from tumble.export.autopilots import example_temperature, temperature_range
-from tumble.export.exported import (
-    Exported,
-    example_line,
-    in_units,
-    models,
-    notes_of,
-    numbers,
-    origin,
-    table_notes,
-)
+from tumble.export.exported import Exported, example_line, in_units, models, notes_of, numbers, origin, table_notes
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.file import content_of
@@ -75,11 +66,8 @@ def csv_table(calibration: Calibration) -> Exported:
     for kind, model in models(calibration).items():
         worked, matrix = linear_example(kind, model), enumerate(model.matrix, 1)
         entries = [(f"matrix.{p}.{q}", value, "1") for p, row in matrix for q, value in enumerate(numbers(row), 1)]
-        for name, vector in (
-            ("bias_of", model.bias),
-            ("example.reading", worked.reading),
-            ("example.true", worked.true),
-        ):
+        vectors = {"bias_of": model.bias, "example.reading": worked.reading, "example.true": worked.true}
+        for name, vector in vectors.items():
             entries += [(f"{name}.{p}", value, UNITS[kind]) for p, value in enumerate(numbers(vector), 1)]
         rows += [[f"{kind}.{name}", repr(value), "", unit, *empty] for name, value, unit in entries]
     return _csv_file((*origin(calibration), "reading = matrix * true + bias, SI", *losses), rows, losses)
@@ -114,17 +102,13 @@ def csv_thermal(calibration: Calibration) -> Exported:
         lacks=["parameters that do not change with temperature", "covariances"],
     )
     warm = example_temperature(measured)
+    at_warm = {kind: linear_example(kind, calibration.compensator.model(kind, warm)) for kind in by_kind}
     comments = [
         *origin(calibration),
         f"reference temperature {calibration.reference_temperature:g} degC; measured from {measured.low:.1f} to "
         f"{measured.high:.1f} degC, nothing is known outside",
         *thermometer_notes(calibration),
-        *(
-            example_line(kind, worked.reading, worked.true, where=f" at {warm!r} degC")
-            for kind, worked in (
-                (kind, linear_example(kind, calibration.compensator.model(kind, warm))) for kind in by_kind
-            )
-        ),
+        *(example_line(kind, worked, where=f" at {warm!r} degC") for kind, worked in at_warm.items()),
         *losses,
     ]
     rows = [["temperature_degC", *(title for each in curves for title in (each.name, f"U({each.name})"))]]

@@ -166,7 +166,7 @@ class Template:
             values, correct = self.correction(kind, model, per_si, g_sensitivity(calibration))
             numbers[kind] = {name: value.tolist() for name, value in values.items()}
             worked = linear_example(kind, model)
-            comments.append(example_line(kind, worked.reading, worked.true, correct(worked.reading)))
+            comments.append(example_line(kind, worked, correct(worked.reading)))
             corrections[kind] = correct
         losses = notes_of(calibration, corrections=corrections, left=remarks, held=front.holds, see_to=front.notes)
         text = self._render(

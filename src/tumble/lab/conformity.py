@@ -112,8 +112,8 @@ class Verdict:
 def judge_calibration(calibration: Calibration, limits: Limits) -> list[Verdict]:
     """Judge a calibration in each check that has limits.
 
-    Sensors that are not accepted count as not determined. Raises
-    CalibrationError if it cannot be converted to the frame of the limits."""
+    Sensors that are not accepted count as not determined. Raises CalibrationError if it cannot be converted to the
+    frame of the limits."""
     judged = (judge_check(calibration, limits, occasion) for occasion in OCCASIONS)
     return [verdict for verdict in judged if verdict is not None]
 
@@ -124,10 +124,10 @@ def judge_check(calibration: Calibration, limits: Limits, occasion: Occasion) ->
     if len(accepted) == 1:
         calibration = accepted_part(calibration)
     calibration = calibration.in_frame(limits.frame)
-    unobservable = calibration.outcome.unobservable
+    unobservable, parameters = calibration.outcome.unobservable, calibration.parameters
     if not accepted:
-        return judge_parameters(limits, occasion, (), (*calibration, *unobservable))
-    return judge_parameters(limits, occasion, calibration.parameters, unobservable)
+        unobservable, parameters = (*calibration, *unobservable), ()
+    return judge_parameters(limits, occasion, parameters, unobservable)
 
 
 def judge_parameters(

@@ -30,13 +30,14 @@ from scipy.stats import chi2, ncx2
 
 from tumble.brief import Brief
 from tumble.errors import InputError
-from tumble.files import ending_in, whole_file
+from tumble.files import ending_in
 from tumble.lab.device_type import MIN_UNITS, Unit, in_run_sizes, mean_temperature, run_to_run
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import group_name, group_of, shown_in
 from tumble.units import Array
 from tumble.views.blocks import Block, Document, Facts, Part, Table, Text, section
 from tumble.views.numbers import quantity_table
+from tumble.views.report.document import write_document
 
 CONTENT = CONFIDENCE = 0.95
 
@@ -206,7 +207,4 @@ def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:
         statements=(_MEANING,),
         closing="End of the data sheet",
     )
-    from tumble.views.render.pages import page
-
-    with whole_file(out) as temporary:
-        temporary.write_text(page(document), encoding="utf-8")
+    write_document(document, out)

@@ -41,7 +41,7 @@ from tumble.result.correction import linear_example
 from tumble.result.coverage import PROBABILITY, degrees_of_freedom
 from tumble.result.further import parameter_words
 from tumble.result.parts import Parameter, stated_factor
-from tumble.sensors.model import UNITS, SensorKind, SensorModel
+from tumble.sensors.model import UNITS, WORDS, SensorKind, SensorModel
 from tumble.sensors.parameters import sensor_kind, shown_in
 from tumble.units import Array
 from tumble.views.render.pages import escaping_environment
@@ -56,12 +56,10 @@ _UNITS = {"m": "metre", "s": "second", "rad": "radian", "K": "kelvin", "degC": "
 _UNITS |= {"hPa": "hecto\\pascal"}
 _FACTOR = re.compile(r"(?P<over>[*/]|^)(?P<unit>[A-Za-z%]+|1)(?:\^(?P<power>\d))?")
 _CONFORMITY = {"conditional pass": "conditionalPass", "conditional fail": "conditionalFail"}
-_CONFORMITY |= {result: result for result in ("pass", "fail")}
+_CONFORMITY |= {"pass": "pass", "fail": "fail"}
 """Results by their names in the schema, which has none for undecided."""
 
 U_DIGITS = 3  # digits of u and U: two significant digits, and one that makes rounding negligible
-
-_TITLES = {"accel": "accelerometers", "gyro": "gyros"}
 
 
 def d_si(unit: str) -> str:
@@ -85,10 +83,10 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
     check_certificate(certificate, calibration)
     limits = certificate_limits(certificate)
     checks = () if limits is None else tuple(judge_calibration(calibration, limits))
-    losses = (*LOSSES, *table_notes(calibration))
     inertial = [p for p in calibration.parameters if sensor_kind(p.name) != "mag"]
     provenance, circumstances = calibration.provenance, calibration.provenance.circumstances
     name, _, release = (provenance.software or "tumble 0").partition(" ")
+    traceable = {_quantity(each) for each in certificate.traceability} - {""}
     same_frame = [verdict for verdict in checks if verdict.frame == calibration.frame]
     environment = escaping_environment("tumble.lab")
     environment.filters["line"] = lambda text: " ".join(plain(text).split())
@@ -100,22 +98,20 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
         device=calibration.device,
         declarations=[*filter(None, [statement_of_priors(calibration)]), SCOPE_STATEMENT, *certificate.remarks],
         traced="; ".join(certificate.traceability or circumstances.equipment),
-        standards={_head(each) for each in circumstances.equipment}
-        & {_head(each) for each in certificate.traceability},
         contents_of_u=f"{scope_of_u(calibration)} {contents_of_u(calibration)}",
         origin="; ".join(origin(calibration)),
         method=calibration.method,
-        equipment=[(each, _head(each)) for each in circumstances.equipment],
+        equipment=[(each, _quantity(each) in traceable) for each in circumstances.equipment],
         conditions=_conditions(calibration),
         probability=f"{PROBABILITY:g}",
         parameters=[_parameter(p, same_frame) for p in inertial],
-        models={_TITLES[kind]: _model(kind, model) for kind, model in by_kind.items()},
+        models={WORDS[kind]: _model(kind, model) for kind, model in by_kind.items()},
         statements=[_conformity(verdict, certificate.agreed) for verdict in checks],
     )
     lines = (line.strip() for line in content.splitlines())
     return Exported(
         content="\n".join(filter(None, lines)).encode() + b"\n",
-        losses=losses,
+        losses=(*LOSSES, *table_notes(calibration)),
         reasons=tuple(f"{each.occasion} check: {'; '.join(each.reasons)}" for each in checks if each.result != "pass"),
     )
 
@@ -130,7 +126,7 @@ TARGET = Target(
 """Target of `tumble export --to dcc`."""
 
 
-def _head(equipment: str) -> str:
+def _quantity(equipment: str) -> str:
     """Return the quantity of "gravity: network point 4711"; empty without one."""
     quantity, colon, _ = equipment.partition(":")
     return quantity if colon else ""

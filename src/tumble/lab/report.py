@@ -225,11 +225,10 @@ def _as_found_text(as_found: Calibration, acceptance: Limits | None) -> str:
 
 def letterhead(laboratory: Party) -> Letterhead:
     """Return the letterhead of a laboratory. Raises InputError if its logo is not a picture."""
-    lines = [laboratory.address]
-    lines += [laboratory.email] if laboratory.email else []
-    lines += [f"accreditation {laboratory.code}"] if laboratory.code else []
+    accreditation = f"accreditation {laboratory.code}" if laboratory.code else None
+    lines = tuple(filter(None, (laboratory.address, laboratory.email, accreditation)))
     if laboratory.logo is None:
-        return Letterhead(name=laboratory.name, lines=tuple(lines))
+        return Letterhead(name=laboratory.name, lines=lines)
     try:
         check_regular(Path(laboratory.logo))
         logo = Path(laboratory.logo).read_bytes()
@@ -239,7 +238,7 @@ def letterhead(laboratory: Party) -> Letterhead:
     if {"svg": b"<svg", "png": b"\x89PNG"}[kind] not in logo:
         raise InputError(f"{laboratory.logo}: expected a picture in {kind.upper()}, found another file")
     picture = base64.b64encode(logo).decode("ascii")
-    return Letterhead(name=laboratory.name, lines=tuple(lines), logo=picture, logo_type=kind)
+    return Letterhead(name=laboratory.name, lines=lines, logo=picture, logo_type=kind)
 
 
 def _statements(certificate: Certificate, calibration: Calibration, checks: Sequence[Verdict]) -> tuple[str, ...]:

@@ -59,17 +59,17 @@ class TurnTable:
         """Return the positions that are possible after the last one: the 24 ways along north, up and east, these turned
         once about an axis of the table by a multiple of the step, and the last one turned so."""
         quarter = round(90.0 * DEGREE / self.step)
-        ways = ("", *self._turns(self.axes, range(1, quarter)))
+        ways = ("", *self._turns(range(1, quarter)))
         codes = [f"{letters}{turn}" for turn in ways for letters in TRIPLES]
-        codes += [f"{last.attitude}{turn}" for turn in self._turns(self.axes, range(-2 * quarter, 2 * quarter + 1))]
+        codes += [f"{last.attitude}{turn}" for turn in self._turns(range(-2 * quarter, 2 * quarter + 1))]
         positions = from_attitudes(codes).positions
         matrices = np.round([position.matrix for position in positions], 9) + 0.0
         first = np.sort(np.unique(matrices.reshape(len(codes), 9), axis=0, return_index=True)[1])
         return tuple(positions[i] for i in first.tolist())
 
-    def _turns(self, axes: str, multiples: range) -> list[str]:
+    def _turns(self, multiples: range) -> list[str]:
         """Return turns by multiples of the step, as appended to a code."""
-        return [f" {axis}{self.step / DEGREE * n:+.10g}" for axis in axes for n in multiples if n]
+        return [f" {axis}{self.step / DEGREE * n:+.10g}" for axis in self.axes for n in multiples if n]
 
     def moves(self, start: Array, ends: Array) -> tuple[IntArray, Array, BoolArray]:
         """Return the moves from an attitude (3, 3) to others (n, 3, 3), turns of the table first, half turns both ways.

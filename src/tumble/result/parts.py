@@ -473,3 +473,8 @@ class Provenance:
     notes: tuple[str, ...] = ()
     assumptions: tuple[str, ...] = ()
     absent: tuple[str, ...] = ()
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Assumptions that the log may contradict."""
+        return tuple(sentence for sentence in self.assumptions if sentence.startswith("doubt: "))

@@ -25,7 +25,7 @@ from tumble.errors import CalibrationError
 from tumble.inference.sources import Source, UncertaintyBudget, source
 from tumble.result.parts import SourceContributions
 from tumble.result.record import CalibrationData
-from tumble.sensors.parameters import beyond_linear, group_name, sensor_kind
+from tumble.sensors.parameters import beyond_linear, positions_by_group, sensor_kind
 from tumble.units import Array
 
 ROUNDING = 1e-15  # of a variance; a smaller contribution is zero
@@ -119,15 +119,12 @@ def with_references(calibration: CalibrationData) -> tuple[SourceContributions, 
 
 def shares_by_group(calibration: CalibrationData) -> dict[str, Array]:
     """Return the mean share (S,) of every source in u² over each group of the linear model, by its name."""
-    budget = calibration.evidence.budget
-    contributions = [[source.contributions.get(name, 0.0) for name in calibration] for source in budget]
-    variances = np.reshape(contributions, (len(budget), len(calibration))) ** 2
-    groups: dict[str, list[int]] = {}
-    for i, name in enumerate(calibration):
-        if not beyond_linear(name):
-            groups.setdefault(group_name(name), []).append(i)
-    total = np.maximum(variances.sum(axis=0), 1e-300)
-    return {group: (variances[:, members] / total[members]).mean(axis=1) for group, members in groups.items()}
+    budget, names = calibration.evidence.budget, list(calibration)
+    contributions = [[source.contributions.get(name, 0.0) for name in names] for source in budget]
+    variances = np.reshape(contributions, (len(budget), len(names))) ** 2
+    share = variances / np.maximum(variances.sum(axis=0), 1e-300)
+    groups = positions_by_group(names).items()
+    return {name: share[:, group].mean(axis=1) for name, group in groups if not beyond_linear(names[group[0]])}
 
 
 def shares_of_priors(calibration: CalibrationData) -> dict[str, dict[str, float]]:

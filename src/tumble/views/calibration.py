@@ -166,19 +166,17 @@ def calibration_blocks(
         spreads.append(f"{name} {significant(rms / size, 2)} {unit}")
     lines += [f"from launch to launch: {', '.join(spreads)}"] if several else []
     for each in iterated:
-        steps = each.evidence.iterations
-        last = f"the last of {len(steps)} iterations added {_largest_change(each, steps[-1])}"
-        last = last if len(steps) > 1 else "one iteration; a second (--iterations 2) would show what it leaves"
-        lines.append(f"{each.method}: {last}")
+        steps, done = each.evidence.iterations, "one iteration; a second (--iterations 2) would show its error"
+        if len(steps) > 1:
+            done = f"the last of {len(steps)} iterations added {_largest_change(each, steps[-1])}"
+        lines.append(f"{each.method}: {done}")
     for other in others:
         changes = {p.name: other[p.name].value - p.value for p in calibration.parameters if p.name in other}
         lines.append(f"{other.method} differs from {calibration.method} by {_largest_change(calibration, changes)}")
     lines += notes_without_expanded(parameters)
     if accepted_kinds(calibration):
-        to = "px4 -o imu.params (ardupilot" if calibration.imu else "json -o imu.json ("
-        following = (
-            f"next: tumble export {shlex.quote(str(file))} --to {to}{', ' * bool(calibration.imu)}others: --help)"
-        )
+        to = "px4 -o imu.params (ardupilot, " if calibration.imu else "json -o imu.json ("
+        following = f"next: tumble export {shlex.quote(str(file))} --to {to}others: --help)"
     else:
         there = "the rests and turns that were found" if evidence.rests else "what was found in the recording"
         following = f"next: tumble inspect {shlex.quote(str(session))} ({there})"
@@ -192,25 +190,24 @@ MAX_LINES, WIDTH, MAX_REMARKS = 24, 100, 3  # lines, characters of a line, remar
 def remarks_of(calibration: Calibration) -> tuple[str, ...]:
     """Return remarks that call for action, the most harmful first: doubts about the log, unexplained residuals, other
     assumptions on log and place, and biases decided by priors."""
-    decided, assumed = decided_by_priors(calibration), calibration.provenance.assumptions
-    doubts = [sentence for sentence in assumed if sentence.startswith("doubt")]
-    others = [sentence for sentence in assumed if sentence not in doubts]
+    decided, origin = decided_by_priors(calibration), calibration.provenance
+    others = [sentence for sentence in origin.assumptions if sentence not in origin.doubts]
     others.sort(key=lambda sentence: "usual for time stamps" in sentence)  # some ppm, the least harmful
     if not accepted_kinds(calibration):  # only a misread log may be the cause
         others = []
-    return (*doubts, *calibration.outcome.remarks, *others, *([decided] if decided is not None else []))
+    return (*origin.doubts, *calibration.outcome.remarks, *others, *([decided] if decided is not None else []))
 
 
 def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
     """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, and a line on the others."""
     notes, shown = calibration.provenance.notes, list[str]()
     lost = [note for note in notes if note.startswith("turn ") and " is left out" in note]
-    remarks, notes = (*remarks_of(calibration), *lost), tuple(note for note in notes if note not in lost)
+    remarks = (*remarks_of(calibration), *lost)
     for remark in remarks[:MAX_REMARKS]:
         if shown and len(text_of([Items(items=(*shown, f"remark: {remark}"))], WIDTH).splitlines()) > max_lines:
             break
         shown.append(f"remark: {remark}")
-    hidden = {"remark": len(remarks) - len(shown), "note": len(notes)}
+    hidden = {"remark": len(remarks) - len(shown), "note": len(notes) - len(lost)}
     counted = [f"{count} {what}{'s' * (count > 1)}" for what, count in hidden.items() if count]
     return [*shown, f"more with --all: {', '.join([*counted, 'all tables'])}"]
 
@@ -307,10 +304,11 @@ def unknown_blocks(calibration: Calibration) -> list[Block]:
         rows.append(row | {"usual": significant(h.usual / size, 3), "unit": unit})
     blocks: list[Block] = [table(rows, words=("unknown", "what it is", "unit"), dense=True)]
     if (integral := calibration.evidence.integral) is not None:
-        sentence = f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; "
-        weights = f"shape of the Pareto distribution of their weights {fixed(integral.pareto, 2)}"
-        error = f"by two sets of points values and u err by up to {100.0 * integral.u_error:.1f} % of u"
-        blocks.append(f"{sentence}{weights}; {error}")
+        blocks.append(
+            f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; shape of the "
+            f"Pareto distribution of their weights {fixed(integral.pareto, 2)}; by two sets of points values and u err "
+            f"by up to {100.0 * integral.u_error:.1f} % of u"
+        )
     units, rows = shown_units(calibration.parameters), []
     for bias in (each for each in calibration.evidence.process_bias if each.name in units):
         size, unit = units[bias.name]

@@ -68,22 +68,16 @@ def check_blocks(check: FieldCheck, *, rests: bool = True) -> list[Block]:
         blocks += [_rest_table(check.rests), *([f"and {more} others with smaller ratios"] if more > 0 else [])]
         allowed = check.misfit is not None and not check.reasons
         blocks += [_rest_summary(compared, check.rest_limit, allowed=allowed)]
-    if check.misfit is not None:
-        blocks += [*_test_blocks(check, check.misfit)]
+    blocks += [] if check.misfit is None else _test_blocks(check, check.misfit)
     return [*blocks, "changed" if check.reasons else _no_change(check)]
 
 
-def _worst(rests: Sequence[CheckedRest]) -> list[CheckedRest]:
-    """Return the MOST_SHOWN rests with the largest ratios, in their order."""
-    order = sorted(range(len(rests)), key=lambda i: -abs(rests[i].sigmas or 0.0))
-    return [rests[i] for i in sorted(order[:MOST_SHOWN])]
-
-
 def _rest_table(rests: Sequence[CheckedRest]) -> Table:
-    """Return a table of the differences from gravity at rests or positions, with empty cells without a prediction."""
+    """Return a table of the differences from gravity at the rests or positions with the largest ratios, in their order,
+    with empty cells without a prediction."""
     size, unit = engineering("m/s^2", _largest(rests))
-    rows = []
-    for rest in _worst(rests):
+    order, rows = sorted(range(len(rests)), key=lambda i: -abs(rests[i].sigmas or 0.0)), []
+    for rest in (rests[i] for i in sorted(order[:MOST_SHOWN])):
         row = {"": rest.label, f"g−|f| {unit}": "", f"u (k=1) {unit}": "", "ratio": ""}
         if rest.u is not None and math.isfinite(rest.u):
             numbers = f"{rest.difference / size:+z.1f}", f"{rest.u / size:.1f}", f"{rest.sigmas:+z.2f}"
@@ -101,11 +95,10 @@ def _rest_summary(rests: Sequence[CheckedRest], limit: float | None, *, allowed:
     """State the largest difference; `allowed`: the tests of the parameters explain all rests."""
     size, unit = engineering("m/s^2", _largest(rests))
     largest, ratio = max(abs(rest.difference) for rest in rests), max(abs(rest.sigmas or 0.0) for rest in rests)
-    beyond = limit is not None and ratio > limit
-    more = "; what turning on again usually changes explains the excess" if allowed and beyond else ""
+    usual = " from the same power-on; the excess is within the usual changes from one power-on to the next"
     return (
         f"largest |g−|f|| {largest / size:.3g} {unit}; largest ratio {ratio:.2f} of {len(rests)}, at most {limit:.2f} "
-        f"in 99 of 100 good calibrations{' from the same power-on' if more else ''}{more}"
+        f"in 99 of 100 good calibrations{usual if allowed and limit is not None and ratio > limit else ''}"
     )
 
 

@@ -20,7 +20,6 @@ from tumble.views.render.pictures import COLOURS, write_picture
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-
 UPRIGHT = 0.98  # cosine of 11°: an axis nearer to the vertical is up or down
 
 _REST_COLOUR, _TURN_COLOUR = "#e3e8ee", "#f6e3d6"
@@ -55,11 +54,9 @@ def gyro_blocks(gyro_rests: GyroRests) -> list[Block]:
         turned = f"{gyro_rests.turned[i] / DEGREE:.0f}" if i < len(gyro_rests.turned) else ""
         times = {"rest": str(i + 1), "from s": f"{rest.start:z.1f}", "to s": f"{rest.stop:z.1f}"}
         rows.append(times | means | {"then turned by °": turned})
-    unknown = (
-        "" if gyro_rests.session.log.accel.scale_stated else "; their unit is not known: state --gyro-unit, for the "
-    )
+    unit = "; their unit is not known, so that the numbers are not °/s: state --gyro-unit"
     return [
-        "gyros alone: the rests are those by their level" + (f"{unknown}numbers are no °/s" if unknown else ""),
+        "gyros alone: rests by the level of the gyros" + ("" if gyro_rests.session.log.accel.scale_stated else unit),
         table(rows),
         f"for biases: tumble calibrate; for noise: tumble noise; for scale factors and axes {WHAT_TO_RECORD}",
     ]

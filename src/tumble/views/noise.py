@@ -62,27 +62,18 @@ def coefficient_rows(parameters: NoiseParameters, unit: str) -> list[NoiseRow]:
 
 def noise_blocks(noise: RecordedNoise) -> list[Block]:
     """Return the noise coefficients of every channel, with doubts about the choice of processes."""
-    rows: list[dict[str, str]] = []
+    rows, doubts = list[dict[str, str]](), list[str]()
     for panel in noise.panels:
-        for channel, parameters in zip(panel.channels, panel.parameters, strict=True):
-            for coefficient in coefficient_rows(parameters, panel.unit) or [
-                NoiseRow("none that the record shows", "", "", "", "")
-            ]:
-                rows.append(dict(zip(_COLUMNS, (channel, *coefficient), strict=True)))
-    blocks: list[Block] = [
-        noise.source,
-        table(rows, words=("sensor", "noise", "symbol", "unit"), columns=_COLUMNS),
-    ]
-    for panel in noise.panels:  # ambiguous or missing fits
         for channel, p in zip(panel.channels, panel.parameters, strict=True):
+            found = coefficient_rows(p, panel.unit) or [NoiseRow("none that the record shows", "", "", "", "")]
+            rows += [dict(zip(_COLUMNS, (channel, *coefficient), strict=True)) for coefficient in found]
             if p.runner_up and p.margin < CLOSE:
-                blocks.append(f"{channel}: {p.runner_up} fits nearly as well; a longer record can decide.")
+                doubts.append(f"{channel}: {p.runner_up} fits nearly as well; a longer record can decide.")
             if p.probability < MISFIT_PROBABILITY:
                 none = "no sum of processes fits (vibration, a filter?); u is enlarged by what is left."
-                blocks.append(f"{channel}: {none}")
-    if noise.doubt:
-        blocks.append(f"doubt: {noise.doubt}")
-    return blocks
+                doubts.append(f"{channel}: {none}")
+    doubts += [f"doubt: {noise.doubt}"] if noise.doubt else []
+    return [noise.source, table(rows, words=("sensor", "noise", "symbol", "unit"), columns=_COLUMNS), *doubts]
 
 
 def plot(panels: Sequence[Panel], path: Path) -> None:
@@ -104,9 +95,8 @@ def _draw(axes: Axes, panel: Panel) -> None:
     for i, (channel, parameters) in enumerate(zip(panel.channels, panel.parameters, strict=True)):
         colour = f"C{i}"
         low, middle, high = (band[:, i] / size for band in (allan.low, allan.deviation, allan.high))
-        caption = ", ".join(
-            f"{s.symbol} = {s.value} ± {s.u} {s.unit}" for s in coefficient_rows(parameters, panel.unit)
-        )
+        rows = coefficient_rows(parameters, panel.unit)
+        caption = ", ".join(f"{s.symbol} = {s.value} ± {s.u} {s.unit}" for s in rows)
         axes.fill_between(tau, low, high, color=colour, alpha=0.2, linewidth=0.0)
         axes.plot(tau, middle, color=colour, linewidth=1.5, label=f"{channel}: {caption}" if caption else channel)
         terms = parameters.variances(tau)

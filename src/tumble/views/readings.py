@@ -22,8 +22,9 @@ def readings_blocks(result: ReadingsCalibration) -> list[Block]:
         *(f"remark: {remark}" for remark in calibration.outcome.remarks),
     ]
     lines = []
-    if fit is not None:
+    if fit is not None or calibration.parameters:
         blocks.append(parameter_table(calibration, linear_parameters(calibration.parameters)))
+    if fit is not None:
         blocks += [group_table(calibration)] if group_lines(calibration) else []
         blocks += [_paper_table(result)] if calibration.frame == "paper" else []
         blocks.append(_position_table(result, fit))
@@ -37,8 +38,6 @@ def readings_blocks(result: ReadingsCalibration) -> list[Block]:
                 f"{positions} positions for 9 parameters: a reading scatters by {fit.scatter / size:.3g} {unit}, "
                 f"estimated with {fit.degrees} degrees of freedom"
             )
-    elif calibration.parameters:
-        blocks.append(parameter_table(calibration, linear_parameters(calibration.parameters)))
     if calibration.prediction is not None:
         lines.append(prediction_text(calibration.prediction))
     return [*blocks, Items(items=(*lines, *calibration.provenance.notes))]

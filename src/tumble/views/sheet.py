@@ -28,7 +28,7 @@ def sheet_blocks(programme: Programme, *, rest: float = REST, rate: float = RATE
         listed.append(cells | {"up and down": row.position.label, "rest": row.when})
     title = f"{programme.name}: {pace_of(programme, rows, rate, move)}"
     words = ("how to get there", "attitude", "X", "Y", "Z", "up and down")
-    return [title, table(listed, words=words), *(note for note in notes_of(programme))]
+    return [title, table(listed, words=words), *notes_of(programme)]
 
 
 @checked

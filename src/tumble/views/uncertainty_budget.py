@@ -16,6 +16,8 @@ from tumble.views.numbers import cells, percent, shown_units, significant
 
 MIN_SHARE = 0.02  # of u²; sources with a smaller share in every group are summed in one line
 OTHERS = "all others"
+ALWAYS_LISTED = {"launches", *chain(*REFERENCES.values())}
+"""Sources with a line of their own however small: reference standards, changes from launch to launch."""
 DEGREES_OF_MEAN = (
     "Mean of L launches: s is the standard deviation from launch to launch, n the noise of one launch. The line of "
     "changes from launch to launch has u = s/√L with L − 1 degrees of freedom and contributes the part of s² above n². "
@@ -39,15 +41,13 @@ def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Bloc
 
 
 def share_table(calibration: Calibration) -> Table:
-    """Return a table of the sources with their mean shares in u² of each group, the largest first. Reference standards
-    and changes from launch to launch are listed however small."""
+    """Return a table of the sources with their mean shares in u² of each group, the largest first."""
     shares, budget, rows = shares_by_group(calibration), with_references(calibration), []
     missing = np.zeros(len(budget) - len(calibration.evidence.budget))
     shares = {group: np.append(share, missing) for group, share in shares.items()}
     by_group = np.array(list(shares.values()))
     order = np.argsort(-by_group.mean(axis=0)).tolist()
-    standards = {"launches", *chain(*REFERENCES.values())}
-    small = [s for s in order if by_group[:, s].max() < MIN_SHARE and budget[s].name not in standards]
+    small = [s for s in order if by_group[:, s].max() < MIN_SHARE and budget[s].name not in ALWAYS_LISTED]
     for s in (s for s in order if s not in small):
         row, (size, unit) = {"source": _words(budget[s]), "type": budget[s].type}, _unit_of(budget[s])
         u = budget[s].u  # of a prior: that of its group; None for a source of several quantities
@@ -62,8 +62,7 @@ def share_table(calibration: Calibration) -> Table:
 
 
 def parameter_budget(calibration: Calibration, name: str) -> Table:
-    """Return the budget of a parameter in the form of EA-4/02. Small contributions are one line, except those of
-    reference standards and of changes from launch to launch."""
+    """Return the budget of a parameter in the form of EA-4/02, with small contributions in one line."""
     parameter, lines, rows = calibration[name], calibration.uncertainty_budget(name), []
     size, unit = shown_units(calibration.parameters)[name]
     kept = [

@@ -94,10 +94,7 @@ def estimate_so_far(
         return None
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         observations = observe(reduction, segmentation.rests, session.accel_block, session.gyro_block, session.site)
-        for usual in (
-            prior_sizes(grade, session.device.prior),
-            {},
-        ):  # with few rests only the linear model can be estimated
+        for usual in (prior_sizes(grade, session.device.prior), {}):  # few rests determine only the linear model
             with contextlib.suppress(np.linalg.LinAlgError):
                 return joint(replace(observations, usual=usual), quick=True)
     return None

@@ -10,8 +10,6 @@ from tumble.lab.limits import Limits, Occasion, parse_limits
 
 State = Literal["as-found", "as-left", "unchanged"]
 """State of the device: before an adjustment, after it, or without one."""
-FAILED = ("fail", "conditional fail")
-"""Verdicts that withdraw a device from use."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -38,7 +36,7 @@ class Record:
     @property
     def withdrawn(self) -> bool:
         """Whether the device failed this check, so that it must not be used until it is calibrated again."""
-        return self.verdict in FAILED
+        return self.verdict in ("fail", "conditional fail")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -145,8 +145,8 @@ class Registry:
                         f"{name}: device.model: expected {record.model!r}, as device {part.serial} has it in record "
                         f"{record.number}, found {model!r}; serial numbers must be unique"
                     )
-            before = any(record.performed <= performed for record in earlier)
-            occasion = occasion or ("periodic" if before else "incoming")
+            if occasion is None:
+                occasion = "periodic" if any(record.performed <= performed for record in earlier) else "incoming"
             limits = rows.limits_in_force(model)
             number = rows.add(
                 CALIBRATION,

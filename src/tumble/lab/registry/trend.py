@@ -129,7 +129,7 @@ class Trend:
     parameters: tuple[ParameterTrend, ...]
     limits: Mapping[str, tuple[float, float]]
     comparison: Comparison | None
-    compared: tuple[int, int] | None = None
+    compared: tuple[int, int] | None
 
     @property
     def serial(self) -> str:
@@ -173,7 +173,12 @@ def trend_of(past: Sequence[tuple[Record, Calibration]], limits: Limits | None) 
                 shared={source: float(change[i]) for source, change in sources.items()},
             )
             points.setdefault(p.name, []).insert(0, point)
-    comparison, compared = _latest_comparison(past)
+    comparison: Comparison | None = None
+    compared: tuple[int, int] | None = None
+    if in_use := [pair for pair in pairwise(past) if pair[1][0].state != "as-left"]:
+        (earlier, first), (later, second) = in_use[-1]
+        if set(first) & set(second):
+            comparison, compared = compare_calibrations(first, second), (earlier.number, later.number)
     intervals = {} if limits is None else {name: limits.of(name, "periodic") for name in points}
     return Trend(
         latest=past[-1][0],
@@ -196,20 +201,6 @@ def _shareable_errors(calibration: Calibration) -> dict[Hashable, Array]:
     if calibration.provenance.clock_u > 0.0:
         sources["time base", calibration.provenance.clock_u] = time_base_sensitivity(calibration)
     return sources
-
-
-def _latest_comparison(
-    past: Sequence[tuple[Record, Calibration]],
-) -> tuple[Comparison, tuple[int, int]] | tuple[None, None]:
-    """Compare the last calibration that is not after an adjustment with the one before it, and return their record
-    numbers too; None without two such that have parameters in common."""
-    pairs = [pair for pair in pairwise(past) if pair[1][0].state != "as-left"]
-    if not pairs:
-        return None, None
-    (earlier, first), (later, second) = pairs[-1]
-    if not set(first) & set(second):
-        return None, None
-    return compare_calibrations(first, second), (earlier.number, later.number)
 
 
 def parameter_trend(name: str, unit: str, points: Sequence[Point]) -> ParameterTrend:

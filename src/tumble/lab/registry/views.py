@@ -28,7 +28,7 @@ from tumble.views.numbers import (
 )
 
 if TYPE_CHECKING:
-    from tumble.lab.registry.trend import Change, ParameterTrend, Trend
+    from tumble.lab.registry.trend import ParameterTrend, Trend
 
 _BARS = "▁▂▃▄▅▆▇█"
 _MAX_BARS = 24
@@ -115,12 +115,8 @@ def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | N
 
     sentences = ["no verdict: no limits were in force for this type and check when the record was added"]
     if verdict is not None:
-        sentences = [
-            DECISION_RULE,
-            f"{RISK_DEFINITION}.{verdict.risk_sentence}",
-            *verdict.reasons,
-            f"verdict: {verdict.result}",
-        ]
+        risk = f"{RISK_DEFINITION}.{verdict.risk_sentence}"
+        sentences = [DECISION_RULE, risk, *verdict.reasons, f"verdict: {verdict.result}"]
     parameters = quantity_table(shown, shown_units(shown), row, words=("verdict",), caption=caption)
     return ["\n".join(lines), parameters, Items(items=tuple(sentences))]
 
@@ -158,12 +154,11 @@ def trend_blocks(trend: Trend, *, every: bool) -> list[Block]:
         per_year, U = ("", "")
         if drift is not None and drift.expanded is not None:
             per_year, U = cells(drift.per_year, drift.expanded, size)
-        row |= {
-            "drift/year": per_year,
-            "U (95 %)": U,
-            **_change_cells(parameter.last_change, trend.compared, size),
-            "unit": unit,
-        }
+        row |= {"drift/year": per_year, "U (95 %)": U, "change": "", "E_n": "", "unit": unit}
+        change = parameter.last_change
+        if change is not None and (change.earlier, change.later) == trend.compared:
+            row["change"] = cells(change.value, change.expanded, size)[0]
+            row["E_n"] = "" if change.e_n is None else f"{change.e_n:+z.2f}"
         if trend.limits:
             row["verdict"] = judge_value(latest.value, latest.u, *limits, dof=latest.dof) if limits else ""
         return row
@@ -183,12 +178,10 @@ def change_lines(trend: Trend) -> list[str]:
     if trend.comparison is None or trend.compared is None:
         return []
     earlier, later = trend.compared
-    compared = "the latest against the one before"
-    if later != trend.latest.number:
-        compared = (
-            f"record {later} against record {earlier}, before the adjustment (record {trend.latest.number} is after "
-            "it, and is not compared)"
-        )
+    compared, latest = "the latest against the one before", trend.latest.number
+    if later != latest:
+        adjusted = f"before the adjustment (record {latest} is after it, and is not compared)"
+        compared = f"record {later} against record {earlier}, {adjusted}"
     first, *others = comparison_lines(trend.comparison)
     return [f"{compared}: {first}", *others]
 
@@ -200,11 +193,3 @@ def _sparkline(values: Sequence[float]) -> str:
     if high == low:
         return _BARS[3] * len(shown)
     return "".join(_BARS[min(int((v - low) / (high - low) * len(_BARS)), len(_BARS) - 1)] for v in shown)
-
-
-def _change_cells(change: Change | None, compared: tuple[int, int] | None, size: float) -> dict[str, str]:
-    """Return the cells of a change and its E_n number, empty if it is not between the compared records."""
-    if change is None or (change.earlier, change.later) != compared:
-        return {"change": "", "E_n": ""}
-    e_n = "" if change.e_n is None else f"{change.e_n:+z.2f}"
-    return {"change": cells(change.value, change.expanded, size)[0], "E_n": e_n}

@@ -151,8 +151,7 @@ def _whole_correction(calibration: Calibration) -> Iterator[Block]:
         sentences.append(
             "Bias and scale factor change with the temperature T of the sensor by (T − T₀) times .t1, (T − T₀)² "
             "times .t2 and (T − T₀)³ times .t3 from their values at the reference temperature T₀: the bias by that, "
-            "and the row of the matrix "
-            "by that along its own direction."
+            "and the row of the matrix by that along its own direction."
         )
     yield Text(text="The whole correction", tone="label")
     yield " ".join(sentences)

@@ -36,11 +36,8 @@ EXTRAPOLATION = 0.12  # extent of the picture beyond the measured range, as a fr
 
 def section(calibration: Calibration, name: str) -> Section | None:
     """Return the section; None if no parameter changes with temperature or all rests had one temperature."""
-    measured, reference, names = (
-        measured_range(calibration),
-        calibration.reference_temperature,
-        thermal_parameters(calibration),
-    )
+    measured, reference = measured_range(calibration), calibration.reference_temperature
+    names = thermal_parameters(calibration)
     if measured is None or reference is None or not names:
         return None
     celsius, rows = np.array([measured.low, reference, measured.high]), []

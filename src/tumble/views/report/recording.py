@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from tumble.diagnosis.verdict import anomaly_text
 from tumble.errors import ProgrammeError
-from tumble.inference.estimate import Fit
 from tumble.programme.positions import Position, from_attitudes
 from tumble.programme.sheet_words import short_code
 from tumble.recording.session import Site
@@ -102,27 +101,22 @@ def rests_and_turns(recording: RecordedSession) -> Section | None:
     if not recording.recorded.rests:
         return None
     rests, turns, _ = tables_of(recording)
-    return section(recording.titled("Programme and what was found"), _programme_text(recording), rests, turns)
+    count, programme = f"{len(recording.recorded.rests)} rests", recording.calibration.provenance.programme
+    text = f"No programme: {count} were found, in attitudes that were not prescribed."
+    if programme is not None:
+        named = "Positions listed in the session" if programme == "listed" else f"Programme “{programme}”"
+        text = (
+            f"{named}: {count} were found. Off is the angle between the vertical in the body as it was found and as "
+            "the programme has it. N, U, E are north, up, east; a code says where body X, Y, Z point and how they are "
+            "turned."
+        )
+    return section(recording.titled("Programme and what was found"), text, rests, turns)
 
 
 def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, Table | None]:
     """Return tables of the rests, turns and fits."""
-    recorded = recording.recorded
-    rests = _rest_table(recording) if recorded.rests else None
-    return rests, _turn_table(recorded.turns), _fit_table(recorded.fits, recording.calibration.method)
-
-
-def _programme_text(recording: RecordedSession) -> str:
-    count = f"{len(recording.recorded.rests)} rests"
-    if recording.calibration.provenance.programme is None:
-        return f"No programme: {count} were found, in attitudes that were not prescribed."
-    listed = recording.calibration.provenance.programme == "listed"
-    named = "Positions listed in the session" if listed else f"Programme “{recording.calibration.provenance.programme}”"
-    return (
-        f"{named}: {count} were found. Off is the angle between the vertical in the body as it was found and as "
-        "the programme has it. N, U, E are north, up, east; a code says where body X, Y, Z point and how they are "
-        "turned."
-    )
+    rests = _rest_table(recording) if recording.recorded.rests else None
+    return rests, _turn_table(recording.recorded.turns), _fit_table(recording)
 
 
 def _rest_table(recording: RecordedSession) -> Table:
@@ -173,7 +167,7 @@ def _turn_table(turns: Sequence[TurnResult]) -> Table | None:
 
 def residuals(recording: RecordedSession, name: str) -> Section | None:
     """Return the section on residuals, with a figure if it has a `name`, and chi-square tests."""
-    title, fits = recording.titled("Residuals"), tables_of(recording)[2]
+    title, fits = recording.titled("Residuals"), _fit_table(recording)
     if not recording.recorded.rests:
         return section(title, fits) if fits else None
     picture = None
@@ -183,8 +177,9 @@ def residuals(recording: RecordedSession, name: str) -> Section | None:
     return section(title, f"{rest_summary(recording.recorded)}.", picture, fits)
 
 
-def _fit_table(fits: Mapping[str, Fit], method: str) -> Table | None:
-    """Return a table of the chi-square of each kind of residuals by a method, and the scatter that was added."""
+def _fit_table(recording: RecordedSession) -> Table | None:
+    """Return a table of the chi-square of each kind of residuals, and the scatter that was added."""
+    method = recording.calibration.method
     rows = [
         {
             "residuals of": name,
@@ -193,7 +188,7 @@ def _fit_table(fits: Mapping[str, Fit], method: str) -> Table | None:
             "probability": f"{fit.probability:.2f}" if has_redundancy(fit) else "",
             "scatter added": in_engineering(fit.unit, fit.scatter) if fit.scatter > 0.0 else "none",
         }
-        for name, fit in fits.items()
+        for name, fit in recording.recorded.fits.items()
     ]
     caption = (
         "Probability: of a larger chi-square by chance alone. Scatter added: what the residuals show beyond the noise "

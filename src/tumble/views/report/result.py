@@ -27,13 +27,7 @@ from tumble.run.calibrate import ITERATED_METHODS
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import sensor_kind
 from tumble.views.blocks import Block, Facts, Figure, Items, Section, Table, Text, Tone, section, table
-from tumble.views.calibration import (
-    MEANING_OF_INCREMENTS,
-    group_table,
-    iteration_table,
-    launch_table,
-    unknown_blocks,
-)
+from tumble.views.calibration import MEANING_OF_INCREMENTS, group_table, iteration_table, launch_table, unknown_blocks
 from tumble.views.numbers import (
     NONE,
     cells,
@@ -85,9 +79,7 @@ def verdict_blocks(calibration: Calibration) -> list[Block]:
         tone, verdict = "bad", "Not accepted: these values must not be used."
     elif outcome.remarks:
         tone = "doubt"
-        verdict = (
-            "Accepted with scatter: the noise within the rests does not explain all residuals. Their scatter is in U."
-        )
+        verdict = "Accepted with scatter: noise within the rests does not explain all residuals. Their scatter is in U."
     else:
         verdict = "Accepted: every parameter given here is observable, and the residuals agree with the model."
         if unchecked := " and ".join(name for name, fit in calibration.evidence.fits.items() if fit.degrees < 0.5):
@@ -207,13 +199,10 @@ def launches(calibration: Calibration) -> Section | None:
         "The result is the mean of these launches (power-ons). Run to run is the standard deviation from one launch to "
         "another; it is in the uncertainty of the mean."
     )
-    side_by_side = replace(
-        launch_table(calibration, linear, on_page=True), dense=len(calibration.evidence.launches) > 4
-    )
-    blocks: list[Block] = [meaning, side_by_side]
+    dense = len(calibration.evidence.launches) > 4
+    blocks: list[Block] = [meaning, replace(launch_table(calibration, linear, on_page=True), dense=dense)]
     if further:
-        beyond_linear = replace(launch_table(calibration, further, on_page=True), dense=True)
-        blocks += ["Beyond the linear model:", beyond_linear]
+        blocks += ["Beyond the linear model:", replace(launch_table(calibration, further, on_page=True), dense=True)]
     digests = tuple(
         (f"log of {launch.session}", f"SHA-256 {launch.log_sha256}" if launch.log_sha256 else NONE)
         for launch in calibration.evidence.launches
@@ -258,11 +247,9 @@ def correlations(calibration: Calibration) -> Section | None:
     u = np.sqrt(np.diag(calibration.covariance))
     scale = np.where(u > 0.0, u, 1.0)
     r = np.clip(calibration.covariance / scale[:, None] / scale, -1.0, 1.0)
-    p, q = np.tril_indices(len(names), -1)
-    order = np.argsort(-np.abs(r[p, q]), kind="stable")[:_LISTED_CORRELATIONS]
-    rows = [
-        {"parameter": names[p[i]], "with": names[q[i]], "coefficient": fixed(float(r[p[i], q[i]]), 3)} for i in order
-    ]
+    pairs = np.column_stack(np.tril_indices(len(names), -1)).tolist()
+    strong = sorted(pairs, key=lambda pair: -abs(r[*pair]))[:_LISTED_CORRELATIONS]
+    rows = [{"parameter": names[p], "with": names[q], "coefficient": fixed(float(r[p, q]), 3)} for p, q in strong]
     strongest = (
         "The covariance of two parameters is their coefficient times both standard uncertainties; all of it is in "
         "the calibration file, which is the data annex. The strongest:"
