@@ -263,25 +263,10 @@ def gravity_text(site: Site) -> str:
 def doubtful_time_base(estimate: Estimate, usual: float) -> tuple[str, ...]:
     """Return a remark if the scale factors of the gyros have a common error, as by a wrong time base.
 
-    Parameters
-    ----------
-    estimate : Estimate
-        Estimate with gyros.
-    usual : float
-        Standard deviation of scale-factor errors over instruments of the grade.
-
-    Returns
-    -------
-    tuple of str
-        A remark, or nothing.
-
-    Notes
-    -----
     The mean of n scale-factor errors is N(0, σ²/n), beside its own uncertainty, that of the time base included. σ is
-    estimated from the spread s of the n errors and the usual one, which counts as SPREAD_DEGREES degrees of freedom ν₀:
-    σ² = (ν₀ usual² + (n − 1) s²)/(ν₀ + n − 1). The mean is tested by Student's t with the degrees of freedom of Welch
-    and Satterthwaite.
-    """
+    estimated from the spread s of the n errors and the `usual` standard deviation over instruments of the grade, which
+    counts as SPREAD_DEGREES degrees of freedom ν₀: σ² = (ν₀ usual² + (n − 1) s²)/(ν₀ + n − 1). The mean is tested by
+    Student's t with the degrees of freedom of Welch and Satterthwaite."""
     gyro_scale = [i for i, name in enumerate(estimate.names) if group_name(name) == "gyro.scale"]
     n = len(gyro_scale)
     if n < len("xyz") or not estimate.observable[gyro_scale].all():
