@@ -127,7 +127,7 @@ def in_use(folder: Path, *, shared: bool = False) -> Iterator[None]:
 
 
 def _taken(folder: Path) -> InputError:
-    return InputError(f"{folder}: expected a folder in which no other process writes, found one in which one does")
+    return InputError(f"{folder}: expected a folder that no other process uses, found one in use")
 
 
 class OutputFolder:

@@ -305,7 +305,7 @@ def test_a_black_box_with_quotes_and_blanks_is_doubted_for_what_the_board_has_ap
     log = table(tmp_path / "LOG1.01.csv", header, np.arange(float(len(rows))), time, read, digits=12, delimiter=", ")
     done = CliRunner().invoke(main, ["calibrate", str(log), *PLACE])
     assert done.exit_code == 0, done.stderr
-    assert "remark: doubt: accSmooth is what Betaflight has corrected by align_board_*" in done.stdout
+    assert "remark: doubt: Betaflight has corrected accSmooth by align_board_*" in done.stdout
     exported = CliRunner().invoke(
         main,
         ["export", str(tmp_path / "LOG1.01-session" / "calibration.json"), "--to", "inav", "-o", str(tmp_path / "i")],

@@ -109,7 +109,7 @@ def _message(kind: str, instance: int, rows: Any, origin: float, parameters: Map
         triads=triads_of(names, {"accel": "m/s^2", "gyro": "rad/s"}),
         temperatures=(_TEMPERATURE,) if warm else (),
         rows=lambda: iter([pl.DataFrame(rows[:, : len(names)], schema=names, orient="row")]),
-        remark=f"undone: what ArduPilot had applied, {', '.join(undone)}" if undone else "",
+        remark=f"ArduPilot's corrections are undone: {', '.join(undone)}" if undone else "",
         doubt=_UNKNOWN if undone is None else doubt,
         imu={sensor: AutopilotSensor(number=number, id=int(ids[sensor] or 0) or None) for sensor in stems},
     )
