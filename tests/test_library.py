@@ -30,6 +30,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.arrays import session_of_arrays
 from tumble.result.parts import Evidence, Provenance
 
+MOMENTS = np.arange(300).astype("datetime64[ms]")
 CACHE = ROOT / ".mypy_cache" / "user"
 
 
@@ -54,6 +55,7 @@ def test_import_loads_neither_numpy_nor_scipy() -> None:
 
 def test_dir_shows_the_public_names() -> None:
     assert set(dir(tumble)) == set(tumble.__all__)
+    assert "SensorArrays" in dir(tumble.types)
     for name in tumble.__all__:
         assert getattr(tumble, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'calibrat'"):
@@ -340,6 +342,10 @@ def test_intervals_that_are_not_positive_are_refused(calibration: tumble.Calibra
             r"time: expected numbers, found datetime64\[ms\]; give seconds",
         ),
         (
+            {"accel": np.tile([0.0, 0.0, 9.8 + 0j], (300, 1)), "rate": 100.0},
+            "accel: expected numbers, found complex128",
+        ),
+        (
             {"accel": np.tile([0.0, 0.0, 9.8], (300, 1)), "rate": 100.0, "terms": "all"},
             "terms: expected full or linear",
         ),
@@ -348,6 +354,23 @@ def test_intervals_that_are_not_positive_are_refused(calibration: tumble.Calibra
 def test_readings_that_mean_nothing_are_refused(given: dict[str, Any], message: str) -> None:
     with pytest.raises(tumble.InputError, match=message):
         tumble.calibrate(**given)
+
+
+@pytest.mark.parametrize(
+    "time",
+    [
+        pl.Series(MOMENTS),
+        pl.Series(MOMENTS - MOMENTS[0]),
+        pl.DataFrame({"t": MOMENTS}),
+        lambda pd: pd.Series(MOMENTS),
+        lambda pd: pd.Series(MOMENTS).dt.tz_localize("UTC"),
+        lambda pd: pd.DatetimeIndex(MOMENTS),
+    ],
+)
+def test_moments_and_durations_of_frames_are_refused(time: Any) -> None:
+    given = time(pytest.importorskip("pandas")) if callable(time) else time
+    with pytest.raises(tumble.InputError, match=r"^time: expected numbers, found .*; give seconds: .t - t.0.. ?[/.]"):
+        tumble.calibrate(accel=np.tile([0.0, 0.0, 9.8], (300, 1)), time=given)
 
 
 def test_numbers_of_rests_may_be_numpys() -> None:
@@ -407,3 +430,46 @@ def test_a_process_forked_after_a_calibration_says_that_it_cannot_read(tmp_path:
     ended = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
     assert ended.returncode == 1
     assert "was forked from one that had read logs" in ended.stderr
+
+
+# -------------------- arguments that mean nothing --------------------
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda c: c.apply(None), "^accel: expected an array of numbers, found NoneType"),
+        (lambda c: c.write(3), "^path: expected a path, found 3"),
+        (lambda c: c.in_frame(3), "^frame: expected text, found 3"),
+        (lambda c: c.accel.apply("ab"), "^readings: expected an array of numbers, found str"),
+        (lambda c: c.accel.apply(np.ones((2, 2))), r"^readings: expected the shape \(\.\.\., 3\), .*found \(2, 2\)"),
+        (lambda c: tumble.Corrector(c, sample_rate="200"), "^sample_rate: .*'200'; see help.tumble.Corrector.$"),  # type: ignore[arg-type]
+        (lambda c: tumble.Corrector(c).add("a", "b"), "^accel readings: expected an array of numbers, found str"),
+        (lambda c: tumble.check_calibration(c, "nowhere"), "^nowhere: expected the folder of a session or a table"),
+        (
+            lambda _: tumble.calibrate(accel=np.tile([0.0, 0.1, 0.0, 9.8], (300, 1)), rate=100.0),
+            "^accel: expected three columns, found 4; choose three without times",
+        ),
+        (
+            lambda _: tumble.plan(Setup.of(), wanted={"accel.scale": "200ppm"}),  # type: ignore[dict-item]
+            "^wanted: expected a mapping of names to a number or None, found {'accel.scale': '200ppm'}",
+        ),
+        (lambda _: tumble.simulate_session("new", Setup.of(), seed=-1), "^seed: expected 0 or more, found -1"),
+        (lambda _: Setup.of(rest="5"), "^rest: expected a number or None, found '5'; see help.tumble.Setup.of.$"),  # type: ignore[arg-type]
+        (lambda _: Setup.of(positions=-1), "^positions: expected at least 1, found -1"),
+        (lambda _: tumble.plan(Setup.of(sample_rate=-1.0)), "^sample_rate: expected more than 0"),
+        (lambda _: Setup.of(noise_factor=-1.0), "^noise_factor: expected 0 or more"),
+    ],
+)
+def test_what_means_nothing_is_refused_in_a_line(
+    calibration: tumble.Calibration, call: Callable[[Any], object], said: str
+) -> None:
+    with pytest.raises(InputError, match=said) as caught:
+        call(calibration)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_binary_file_is_no_calibration(tmp_path: Path) -> None:
+    np.savez(tmp_path / "readings.npz", accel=np.full(9, 0.1))
+    with pytest.raises(InputError, match=r"expected UTF-8 text, found a binary file$"):
+        tumble.read_calibration(tmp_path / "readings.npz")

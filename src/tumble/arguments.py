@@ -12,13 +12,21 @@ from types import NoneType, UnionType
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+import numpy.typing as npt
 
 from tumble.errors import InputError
+from tumble.units import Array
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 _SHOWN = 40
+_ADVICE: Mapping[str | tuple[str, ...], str] = {
+    "complex": "give their real part",
+    ("D", "T"): "give seconds: (t - t[0]).dt.total_nanoseconds() / 1e9",  # polars
+    "": "give seconds: (t - t[0]) / np.timedelta64(1, 's')",
+}
+"""What to give instead of numbers of other types, by the first letters of the type."""
 _PLAIN: Mapping[Any, tuple[str, tuple[type, ...]]] = {
     str: ("text", (str,)),
     float: ("a number", (Real,)),
@@ -34,6 +42,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
 
     Numbers may be those of NumPy, and sequences arrays; their values are for the function itself to check."""
     parameters = signature(function).parameters
+    qualified_name = function.__qualname__.removesuffix(".__init__")
 
     @cache
     def hints_by_name() -> Mapping[str, Any]:
@@ -42,16 +51,41 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
         for name, given in signature(function).bind(*args, **kwargs).arguments.items():
-            kind, hint = parameters[name].kind, hints_by_name()[name]
+            kind, hint = parameters[name].kind, hints_by_name().get(name, Any)  # self has none
             if kind is Parameter.VAR_KEYWORD:
                 hints = get_type_hints(get_args(hint)[0]) if get_args(hint) else {}
-                _check(function.__name__, given, hints)
+                _check(qualified_name, given, hints)
             else:
                 for value in given if kind is Parameter.VAR_POSITIONAL else (given,):
-                    _check(function.__name__, {name: value}, {name: hint})
+                    _check(qualified_name, {name: value}, {name: hint})
         return function(*args, **kwargs)
 
     return call
+
+
+def array_of(what: str, given: npt.ArrayLike | None) -> Array:
+    """Return an array of real numbers from an array, a sequence or a frame. Raises InputError for anything else."""
+    if type(given) is np.ndarray and given.dtype.char == "d":
+        return given
+    if isinstance(given, np.ma.MaskedArray) and np.ma.is_masked(given):
+        masked = int(np.ma.getmaskarray(given).sum())
+        raise InputError(f"{what}: expected numbers, found {masked} that are masked; cut or fill them")
+    try:
+        if given is None:
+            raise TypeError("give readings")
+        numbers = np.asarray(given)
+        dtypes: Any = getattr(given, "dtypes", None)  # one for each column of a frame
+        if dtypes is None and numbers.dtype.kind == "f":
+            return numbers if numbers.dtype.char == "d" else numbers.astype(np.float64)
+        if dtypes is None:
+            dtypes = getattr(given, "dtype", None) or numbers.dtype
+        for dtype in map(str, np.ravel(dtypes)):
+            if dtype.lower().startswith(("date", "time", "duration", "complex")):
+                advice = next(text for start, text in _ADVICE.items() if dtype.startswith(start))
+                raise InputError(f"{what}: expected numbers, found {dtype}; {advice}")
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what}: expected an array of numbers, found {type(given).__name__}: {error}") from None
 
 
 class _Names(dict[str, Any]):
@@ -72,7 +106,9 @@ class _Names(dict[str, Any]):
 def _check(function: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
     for name, value in given.items():
         if name in hints and not _fits(value, hints[name]):
-            shown = repr(value) if isinstance(value, str | int | float | tuple | list) else f"{type(value).__name__}"
+            shown = (
+                repr(value) if isinstance(value, str | int | float | tuple | list | dict) else f"{type(value).__name__}"
+            )
             raise InputError(
                 f"--{name.replace('_', '-')}: expected {' or '.join(dict.fromkeys(_in_words(hints[name])))}, found "
                 f"{shown[:_SHOWN]}; see help(tumble.{function})"
@@ -129,5 +165,7 @@ def _in_words(hint: Any) -> Iterator[str]:
             yield from () if one is str and has_path else _in_words(one)
     elif args and issubclass(origin, Iterable) and not issubclass(origin, Mapping):
         yield f"several, each {' or '.join(dict.fromkeys(_in_words(args[0])))}"
+    elif origin is Mapping and args and args[1] is not Any:
+        yield f"a mapping of names to {' or '.join(dict.fromkeys(_in_words(args[1])))}"
     else:
         yield {Mapping: "a mapping"}.get(origin, origin.__name__)

@@ -6,6 +6,7 @@ that move the cursor of a terminal or change the direction of writing are not sh
 
 from __future__ import annotations
 
+import codecs
 import math
 import re
 import unicodedata
@@ -59,7 +60,9 @@ def text_of_document(path: Path, error: type[InputError] = InputError) -> str:
             content = file.read(min(path.stat().st_size, LARGEST_DOCUMENT) + 1)
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as fault:
-        raise error(f"{path}: expected UTF-8 text, found {fault.reason}; save it as UTF-8") from None
+        is_binary = b"\0" in content and not content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        found = "a binary file" if is_binary else f"{fault.reason}; save it as UTF-8"
+        raise error(f"{path}: expected UTF-8 text, found {found}") from None
     except OSError as fault:
         raise error(f"{path}: cannot be read: {fault.strerror}") from None
     if len(content) > LARGEST_DOCUMENT:

@@ -23,9 +23,7 @@ EXAMPLES = [
     example
     for item in (*(getattr(tumble, name) for name in tumble.__all__ if name != "__version__"), *OTHERS)
     if callable(item) and item.__module__.startswith("tumble")
-    for example in doctest.DocTestFinder(recurse=False).find(
-        item, item.__name__, globs={**vars(inspect.getmodule(item) or tumble)}
-    )
+    for example in doctest.DocTestFinder().find(item, item.__name__, globs={item.__name__: item})
     if example.examples
 ]
 

@@ -319,6 +319,13 @@ def test_a_template_of_ones_own_is_filled_in(tmp_path: Path) -> None:
         ('formula = "corrected = M (reading - b)"\n', "", "formula: expected this key, found none"),
         ("1.0, 0.0, 0.0]\n+++", "2.0, 0.0, 0.0]\n+++", "[test.accel] corrected: expected what the formula gives"),
         ('"inverse"', '"invers"', "[accel] M: expected an expression with a value, found 'invers' is undefined"),
+        (
+            '"inverse"',
+            '"invert(matrix)"',
+            "found 'invert' is undefined; there are matrix, bias, inverse, counts, g_sens",
+        ),
+        ('"inverse"', '"invert(matrix)"', "force, dot, transpose, inverted, diagonal, lengths, column"),
+        ("accel.M | json", "accel.M | yml", "'yml'.; there are json, yaml, identifier, float32"),
         ('"inverse"', "\"inverse.tofile('x')\"", "access to attribute 'tofile' of 'ndarray' object is unsafe"),
         ('"dot(M, reading - b)"', '"1 / 0"', "[accel] corrected: expected an expression with a value, found division"),
         ("accel.M |", "accel.N |", "expected a body that can be filled in, found 'dict object' has no attribute 'N'"),

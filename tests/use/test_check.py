@@ -259,6 +259,7 @@ def test_every_frame_checks_alike(tmp_path: Path) -> None:
         found[frame] = check_calibration(made, again)
     for frame, check in found.items():
         assert check.valid
+        assert check.rests_agree is None
         for name in ("difference", "u"):
             values, expected = ([getattr(r, name) for r in each.rests] for each in (check, found["accelerometer"]))
             np.testing.assert_allclose(values, expected, rtol=1e-5, atol=1e-12)

@@ -44,7 +44,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -242,7 +242,7 @@ class Template:
             if shape is not None and value.shape != shape:
                 raise ValueError(f"an array of the shape {value.shape}")
         except Exception as error:  # of Jinja, of NumPy, of arithmetic
-            reason = " ".join(str(error).split()) or type(error).__name__
+            reason = _reason(error, names)
             raise InputError(f"{self.name}: {where}: expected an expression with a value, found {reason}") from None
         return value
 
@@ -252,7 +252,7 @@ class Template:
         try:
             return str(_environment().from_string(self.body).render(names))
         except Exception as error:
-            fault = " ".join(str(error).split()) or type(error).__name__
+            fault = _reason(error, names)
             place = f", line {self.line + error.lineno}" if isinstance(error, TemplateSyntaxError) else ""
             raise InputError(f"{self.name}{place}: expected a body that can be filled in, found {fault}") from None
 
@@ -328,6 +328,14 @@ FUNCTIONS: Mapping[str, Callable[..., Array]] = {
 """Functions for the expressions of templates."""
 
 
+def _reason(error: Exception, names: Iterable[str]) -> str:
+    """Return an error of Jinja or NumPy in a line, for an unknown name or filter with those that there are."""
+    reason = " ".join(str(error).split()) or type(error).__name__
+    if reason.endswith(" is undefined"):
+        return f"{reason}; there are {', '.join((*names, *FUNCTIONS))}"
+    return reason + (f"; there are {', '.join(_FILTERS)}" if reason.startswith("No filter named") else "")
+
+
 def front_of(layout: str) -> dict[str, Any]:
     """Return the front matter of a layout."""
     return split_template(text_of_document(LAYOUTS / layout), layout)[0]
@@ -355,7 +363,7 @@ def _environment() -> SandboxedEnvironment:
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
     environment.globals |= FUNCTIONS
-    environment.filters |= {"json": _as_json, "yaml": _as_yaml, "identifier": identifier, "float32": _as_float32}
+    environment.filters |= _FILTERS
     return environment
 
 
@@ -376,3 +384,7 @@ def identifier(text: str) -> str:
     """Return a text as an identifier of most languages: letters, digits and underscores, a letter first."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", text)
     return name if name[:1].isalpha() else f"imu_{name}"
+
+
+_FILTERS = {"json": _as_json, "yaml": _as_yaml, "identifier": identifier, "float32": _as_float32}
+"""Filters for the bodies of templates, beside those of Jinja."""

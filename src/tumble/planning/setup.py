@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from tumble import usual_setup
+from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.earth import normal_gravity
 from tumble.errors import InputError
@@ -81,6 +82,7 @@ class Setup(Brief):
     clock_u: float = USUAL_CLOCK_U
 
     @staticmethod
+    @checked
     def of(
         *,
         grade: str = usual_setup.GRADE,
@@ -108,15 +110,19 @@ class Setup(Brief):
         Raises
         ------
         InputError
-            For an unknown grade or programme, and for an impossible latitude.
+            For an unknown grade or programme, and for impossible numbers.
 
         Examples
         --------
-        >>> Setup.of(grade="mems", positions=30).rest
+        >>> import tumble
+        >>> tumble.Setup.of(grade="mems", positions=30).rest
         5.0
         """
         if not abs(latitude_deg) <= 90.0:
             raise InputError(f"latitude: expected -90 to 90 degrees, found {latitude_deg:g}")
+        if positions is not None and positions < 1:
+            raise InputError(f"positions: expected at least 1, found {positions}")
+        expect("noise_factor", noise_factor, least="0 or more")
         kind, usual = grade_named(grade), usual_setup.ON_TABLE if positions is None else usual_setup.BY_HAND
         latitude = latitude_deg * DEGREE
         return Setup(
@@ -162,7 +168,7 @@ def check_setup(setup: Setup) -> None:
     if not abs(setup.latitude) < 0.5 * math.pi - DEGREE:
         found = setup.latitude / DEGREE
         raise InputError(f"latitude: expected within ±89 degrees, where TRIAD has an azimuth, found {found:g}")
-    for name in ("rest", "turn_rate", "gravity"):
+    for name in ("rest", "turn_rate", "sample_rate", "gravity"):
         expect(name, getattr(setup, name), least="more than 0")
     if not 1.0 <= setup.gravity <= 100.0:
         raise InputError(f"gravity: expected 1 to 100 m/s^2, as a planet has, found {setup.gravity:g}")

@@ -8,6 +8,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 import numpy.typing as npt
 
+from tumble.arguments import array_of
 from tumble.errors import InputError
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of
@@ -106,8 +107,11 @@ def session_of_arrays(**arrays: Unpack[SensorArrays]) -> Session:
         if kind in given:
             readings = readings_of(kind, given[kind])
             sensors[kind] = readings.shape[1]
+            if sensors[kind] > 3 and f"{kind}_axes" not in given:
+                given_columns = f"{sensors[kind]}; choose three without times, or give {kind}_axes= as well"
+                raise InputError(f"{kind}: expected three columns, found {given_columns}")
             columns = _columns(kind, sensors[kind])
-            axes = {"axes": _numbers("axes", given[f"{kind}_axes"]).tolist()} if f"{kind}_axes" in given else {}
+            axes = {"axes": array_of("axes", given[f"{kind}_axes"]).tolist()} if f"{kind}_axes" in given else {}
             log[kind] = {"columns": columns, "unit": SI[kind][0], **axes}
             data |= dict(zip(columns, readings.T, strict=True))
     force = np.column_stack([data[column] for column in log["accel"]["columns"]])
@@ -158,11 +162,11 @@ def readings_of(kind: str, given: npt.ArrayLike) -> Array:
     return readings
 
 
-def numbers_of(what: str, given: npt.ArrayLike, *, increments: bool = False) -> Array:
+def numbers_of(what: str, given: npt.ArrayLike | None, *, increments: bool = False) -> Array:
     """Return an array of finite numbers in SI from an array or a frame; `what` is "accel" or "gyro" for readings.
 
     Raises InputError for anything else, and for columns of a frame with another unit in their names."""
-    numbers = _numbers(what, given)
+    numbers = array_of(what, given)
     check_finite(what, numbers)
     for column in map(str, getattr(given, "columns", ()) if what in SI else ()):
         from tumble.recording.columns.names import unit_of_name
@@ -185,22 +189,8 @@ def check_finite(what: str, numbers: Array) -> None:
         )
 
 
-def _numbers(what: str, given: npt.ArrayLike) -> Array:
-    masked = int(np.ma.getmaskarray(given).sum()) if isinstance(given, np.ma.MaskedArray) else 0
-    if masked:
-        raise InputError(f"{what}: expected numbers, found {masked} that are masked; cut or fill them")
-    if isinstance(given, np.ndarray) and given.dtype.kind in "mM":
-        raise InputError(
-            f"{what}: expected numbers, found {given.dtype}; give seconds: (t - t[0]) / np.timedelta64(1, 's')"
-        )
-    try:
-        return np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{what}: expected an array of numbers, found {type(given).__name__}: {error}") from None
-
-
 def _series(what: str, given: npt.ArrayLike) -> Array:
-    values = np.squeeze(_numbers(what, given))
+    values = np.squeeze(array_of(what, given))
     if values.ndim != 1:
         raise InputError(f"{what}: expected an array of shape (samples,), found the shape {values.shape}")
     check_finite(what, values)

@@ -121,11 +121,9 @@ def write_session(folder: FilePath, content: Mapping[str, Any]) -> None:
 
     Raises SessionError for any other content; the log need not exist yet.
 
-    >>> import numpy as np, tumble
-    >>> from tumble.recording.arrays import session_of_arrays
-    >>> session = session_of_arrays(accel=np.tile([0.0, 0.0, 9.81], (300, 1)), rate=100.0)
-    >>> content = description_of(session)
-    >>> tumble.write_session("session", content | {"log": {"file": "log.csv", **content["log"]}})
+    >>> import tumble
+    >>> log = {"file": "log.csv", "rate_hz": 100.0, "accel": {"columns": ["ax", "ay", "az"], "unit": "g"}}
+    >>> tumble.write_session("session", {"format": 1, "device": {"serial": "A-0007"}, "log": log})
     """
     folder = Path(folder)
     path = folder / SESSION_FILE

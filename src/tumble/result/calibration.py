@@ -122,6 +122,7 @@ class Calibration(CalibrationData):
         schema = {name: pl.String if name in ("name", "unit") else pl.Float64 for name in _COLUMNS}
         return pl.DataFrame({name: [getattr(p, name) for p in self.parameters] for name in schema}, schema=schema)
 
+    @checked
     def apply(
         self,
         accel: npt.ArrayLike,
@@ -163,6 +164,7 @@ class Calibration(CalibrationData):
         """
         return corrected_readings(self, accel, gyro, dt=dt, temperature=temperature)
 
+    @checked
     def in_frame(self, frame: str) -> Calibration:
         """Convert the calibration of a triad to another frame.
 
@@ -181,6 +183,7 @@ class Calibration(CalibrationData):
         """
         return calibration_in(self, frame)
 
+    @checked
     def write(self, path: FilePath, *, force: bool = False) -> None:
         """Write the calibration file, whole or not at all.
 

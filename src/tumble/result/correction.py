@@ -242,7 +242,7 @@ def corrected_readings(
     compensator, readings = calibration.compensator, dict[str, Array]()
     for kind, given in (("accel", accel), ("gyro", gyro)):
         block: Block | None = getattr(compensator, kind)
-        if given is None:
+        if given is None and kind == "gyro":
             continue
         numbers = numbers_of(kind, given, increments=dt is not None)
         if block is None:

@@ -119,7 +119,8 @@ def _known(parameter: Parameter) -> Parameter:
     if not is_parameter(parameter.name):
         raise ValueError(
             f"expected parameters that this version of tumble knows, found {shown(parameter.name)}: without it "
-            "readings would be corrected wrongly; read the file with the version that wrote it"
+            "readings would be corrected wrongly; read the file with the version that wrote it, or install the "
+            "package that adds the parameter"
         )
     return parameter
 

@@ -110,8 +110,9 @@ def calibrate(
     progress
         Function that yields the chunks of a log while it is read, for example with a progress bar.
     **arrays
-        Readings in memory and their description, see `tumble.types.SensorArrays`. For gyros alone the biases are
-        calibrated.
+        Readings in memory, in SI, instead of a session: `accel` and `gyro` (N, n), `time` (N,) or `rate`,
+        `temperature`, `latitude`, `height`, `gravity`, `gravity_u`, `accel_axes`, `gyro_axes`, `programme`, `serial`
+        and `clock_ppm_u`, see `tumble.types.SensorArrays`. For gyros alone the biases are calibrated.
 
     Returns
     -------
@@ -129,6 +130,11 @@ def calibrate(
     >>> folder = tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=12), seed=1)
     >>> tumble.calibrate(folder)
     <Calibration of mems-1: joint, 51 parameters, accepted>
+    >>> import polars as pl
+    >>> log = pl.read_parquet(folder / "log.parquet")
+    >>> accel, gyro = log.select("ax", "ay", "az").to_numpy(), log.select("gx", "gy", "gz").to_numpy()
+    >>> tumble.calibrate(accel=accel, gyro=gyro, time=log["t"], latitude=0.992, serial="A-0007")
+    <Calibration of A-0007: joint, 51 parameters, accepted>
     """
     if terms not in get_args(Terms):
         raise InputError(f"terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")

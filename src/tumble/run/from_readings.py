@@ -146,6 +146,7 @@ def calibrate_readings(
     Examples
     --------
     >>> import tumble
+    >>> from pathlib import Path
     >>> faces = ["0,0,1", "0,0,-1", "0,1,0", "0,-1,0", "1,0,0", "-1,0,0"]
     >>> edges = ["0.6,0.8,0", "0.6,-0.8,0", "0,0.6,0.8", "0,0.6,-0.8", "0.8,0,0.6", "0.8,0,-0.6"]
     >>> _ = Path("readings.csv").write_text("x,y,z\\n" + "\\n".join(faces + edges))

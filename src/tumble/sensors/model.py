@@ -22,6 +22,8 @@ from typing import Literal
 
 import numpy as np
 
+from tumble.arguments import array_of
+from tumble.errors import InputError
 from tumble.rotation import axes_angles, axes_matrix, left_inverse, tangent_basis
 from tumble.units import Array, IntArray
 
@@ -55,6 +57,9 @@ class SensorModel:
 
     def apply(self, readings: Array) -> Array:
         """Return true vectors (..., 3) from readings (..., n), both in SI and in the body frame."""
+        readings = array_of("readings", readings)
+        if readings.shape[-1:] != self.bias.shape[-1:]:
+            raise InputError(f"readings: expected the shape (..., {self.bias.shape[-1]}), found {readings.shape}")
         return np.asarray((readings - self._offset) @ np.swapaxes(self.inverse(), -1, -2))
 
     def predict(self, true: Array) -> Array:

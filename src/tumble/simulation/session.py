@@ -76,7 +76,7 @@ def simulate_session(
     Raises
     ------
     InputError
-        For an impossible set-up, and for a folder that has a session.
+        For an impossible set-up or number, and for a folder that has a session.
 
     Examples
     --------
@@ -84,6 +84,9 @@ def simulate_session(
     >>> tumble.simulate_session("session", tumble.Setup.of(grade="mems", positions=4), seed=1).name
     'session'
     """
+    for name, number in (("seed", seed), ("launch", launch)):
+        if number < 0:
+            raise InputError(f"{name}: expected 0 or more, found {number}")
     truth, course = np.random.default_rng(seed), np.random.default_rng([seed, launch])
     scenario = scenario_of(setup, truth, serial=f"{setup.instrument}-{seed}", vibration=vibration)
     if temperature is not None:

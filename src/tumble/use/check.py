@@ -101,7 +101,8 @@ class FieldCheck(Judged):
     one of 100 cases. `turns` is the number of turns used. `parameters` are the tests of the parameters that rests and
     turns determine, with the `largest` |change|/u and its `limit`; they are empty if the comparison with gravity alone
     decides. `changes` are the parameters that have changed, `unseen` the groups that are not determined, `misfit` the
-    residuals that no change explains; `rests_agree`: the rests alone show no change. `notes` are assumptions."""
+    residuals that no change explains; `rests_agree`: the rests alone show no change, None without a
+    test of the rests alone, which is made if no change explains rests and turns. `notes` are assumptions."""
 
     json_fields: ClassVar = (
         "verdict", "reasons", "source", "rests", "rest_limit", "turns", "changes", "parameters", "largest",
@@ -118,7 +119,7 @@ class FieldCheck(Judged):
     limit: float | None = None
     unseen: tuple[str, ...] = ()
     misfit: Fit | None = None
-    rests_agree: bool = False
+    rests_agree: bool | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -218,6 +219,8 @@ def check_calibration(
     (4, True)
     """
     accepted = accepted_for_check(calibration)
+    if not isinstance(readings, Session) and not Path(readings).exists():
+        raise InputError(f"{readings}: expected the folder of a session or a table of readings, found neither")
     if not isinstance(readings, Session) and not Path(readings).is_dir():
         rows, table = table_observations(accepted, Path(readings))
         labels = [f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)]
@@ -252,7 +255,7 @@ def check_calibration(
     launches, sheet = _launches(converted, launches), session.device.prior
     prior = prior_at_check(converted, observations, grade, sheet, launches)
     result = field_check(observations, prior)
-    rests_agree = False
+    rests_agree = None
     if not result.explained and observations.gyro_block is not None:
         at_rest = observations.of_accelerometers()
         rests_agree = field_check(at_rest, prior_at_check(converted, at_rest, grade, sheet, launches)).valid

@@ -18,6 +18,7 @@ from math import inf, nan
 import numpy as np
 import numpy.typing as npt
 
+from tumble.arguments import array_of, checked
 from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.files import FilePath
@@ -243,6 +244,7 @@ class Corrector:
     array([0.02])
     """
 
+    @checked
     def __init__(self, calibration: Calibration | FilePath, *, sample_rate: float | None = None) -> None:
         self.calibration = accepted_part(calibration_from(calibration))
         rate = self.calibration.provenance.sample_rate if sample_rate is None else sample_rate
@@ -314,7 +316,9 @@ class Corrector:
         readings = self._rows("accel", accel, self._sizes[0])
         turned = None if gyro is None and not self._sizes[1] else self._rows("gyro", gyro, self._sizes[1])
         count = len(readings)
-        stamps = None if time is None else np.atleast_1d(np.asarray(time, dtype=float))
+        stamps = np.array([time]) if isinstance(time, float) else None
+        if time is not None and stamps is None:
+            stamps = np.atleast_1d(array_of("time", time))
         if (turned is not None and len(turned) != count) or (stamps is not None and stamps.shape != (count,)):
             raise InputError(
                 f"expected as many gyro readings and stamps as there are accel readings, {count}, found "
@@ -322,7 +326,7 @@ class Corrector:
             )
         kelvin = None
         if temperature is not None:
-            kelvin = np.asarray(temperature, dtype=float)
+            kelvin = array_of("temperature", temperature)
             if kelvin.size != count * self.thermometers:
                 raise InputError(
                     f"temperature: expected {self.thermometers} for each of {count} samples, found the shape "
@@ -343,13 +347,13 @@ class Corrector:
         return corrected
 
     @staticmethod
-    def _rows(kind: str, readings_or_none: npt.ArrayLike | None, sensors: int) -> Array:
-        readings = np.asarray(readings_or_none, dtype=float)
+    def _rows(kind: str, given: npt.ArrayLike | None, sensors: int) -> Array:
+        readings = np.zeros(0) if given is None else array_of(f"{kind} readings", given)
         if readings.ndim == 1:
             readings = readings[None]
         if readings.ndim != 2 or readings.shape[1] != sensors:
             raise InputError(
                 f"{kind} readings: expected {sensors} numbers a sample, one for each sensor of the calibration, found "
-                f"{'none' if readings_or_none is None else f'an array of shape {np.shape(readings_or_none)}'}"
+                f"{'none' if given is None else f'an array of shape {readings.shape}'}"
             )
         return readings

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from tumble.arguments import checked
+from tumble.arguments import array_of, checked
 from tumble.brief import Brief
 from tumble.errors import InputError
 from tumble.reduction import kernels as _kernels
@@ -53,6 +53,7 @@ def allan_deviation(samples: Array, rate: float) -> AllanDeviation:
     >>> bool(abs(found.deviation[0, 0] * np.sqrt(found.tau[0]) - 0.1) < 0.01)
     True
     """
+    samples = array_of("samples", samples)
     if not 0.0 < rate < np.inf or np.ndim(samples) not in (1, 2):
         raise InputError(
             f"Allan deviation: expected samples of shape (m,) or (m, c) and a rate above 0 Hz, found the shape "
