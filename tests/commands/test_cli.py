@@ -174,7 +174,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["calibrate", "few", "--iterations", "3"], "expected none with the method 'joint'"),
         (["calibrate", ""], "expected a path, found an empty one"),
         (["calibrate", "none"], "none: expected a session folder or its session.toml, found no such file or folder"),
-        (["calibrate", "."], "session.toml: expected a session folder with a session.toml, found none; `tumble new` makes"),
+        (["calibrate", "."], "found none; `tumble new` makes a session from a log"),
         (["calibrate", "one/log.parquet", "two/log.parquet"], "a log among 2 arguments; positions of one"),
         (["calibrate", "one/log.parquet", "--latitude", "48,1"], "south negative, such as 48.1, found '48,1'"),
         (["export", "one/session.toml", "--to", "ros", "-o", "x"], "found text that is no JSON; is it the log?"),
