@@ -79,7 +79,7 @@ def test_of_two_that_write_into_a_folder_the_second_is_refused(there: bool, tmp_
         folder.mkdir(parents=True)
     with nothing_left(folder) as first:
         first.new_file("log.csv").write_text("first")
-        with pytest.raises(InputError, match="found one in which one does"), nothing_left(folder) as second:
+        with pytest.raises(InputError, match="found one in use"), nothing_left(folder) as second:
             second.new_file("log.csv").write_text("second")
     with nothing_left(folder) as second:
         second.new_file("log.csv").write_text("second")
@@ -95,7 +95,7 @@ def test_of_two_that_make_a_folder_the_second_is_refused_and_takes_nothing_away(
                 first.new_file("log.csv")
             second.new_file("log.csv")
 
-    with pytest.raises(InputError, match="found one in which one does"):
+    with pytest.raises(InputError, match="found one in use"):
         refused()
     assert folder.exists()  # the first may be about to write
 

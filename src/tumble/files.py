@@ -127,7 +127,7 @@ def in_use(folder: Path, *, shared: bool = False) -> Iterator[None]:
 
 
 def _taken(folder: Path) -> InputError:
-    return InputError(f"{folder}: expected a folder in which no other process writes, found one in which one does")
+    return InputError(f"{folder}: expected a folder that no other process uses, found one in use")
 
 
 class OutputFolder:
@@ -143,8 +143,10 @@ class OutputFolder:
     def new_file(self, name: str) -> Path:
         """Return the path of a new file of this name, with a number after its stem if the name is taken.
 
-        Raises InputError if another process has made the folder meanwhile."""
-        if not self._there:
+        Raises InputError if another process has made the folder meanwhile, FileExistsError if it is a file."""
+        if self._there:
+            self.path.mkdir(exist_ok=True)  # FileExistsError for a file
+        else:
             try:
                 self.path.mkdir(parents=True)
                 self.use.enter_context(in_use(self.path))

@@ -686,7 +686,7 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     assert {**twice["provenance"], "created": ""} == {**once["provenance"], "created": ""}
     assert {**twice, "provenance": ""} == {**once, "provenance": ""}
     anew = run("calibrate", log, "--latitude", "50", "--terms", "linear", "--json")
-    assert "with other options or by another version: anew" in anew.stderr
+    assert "made anew, with other options or by another version" in anew.stderr
     assert json.loads(anew.stdout)["device"]["serial"] == "mine"
     (sessions / "letter.txt").write_text("Dear all,", encoding="utf-8")
     assert "expected rows of readings" in refused(

@@ -305,13 +305,13 @@ def test_a_black_box_with_quotes_and_blanks_is_doubted_for_what_the_board_has_ap
     log = table(tmp_path / "LOG1.01.csv", header, np.arange(float(len(rows))), time, read, digits=12, delimiter=", ")
     done = CliRunner().invoke(main, ["calibrate", str(log), *PLACE])
     assert done.exit_code == 0, done.stderr
-    assert "remark: doubt: accSmooth is what Betaflight has corrected by align_board_*" in done.stdout
+    assert "remark: doubt: Betaflight has corrected accSmooth by align_board_*" in done.stdout
     exported = CliRunner().invoke(
         main,
         ["export", str(tmp_path / "LOG1.01-session" / "calibration.json"), "--to", "inav", "-o", str(tmp_path / "i")],
     )
     assert exported.exit_code == 0, exported.stderr
-    assert "# doubt: accSmooth" in (tmp_path / "i").read_text(encoding="utf-8")
+    assert "# doubt: Betaflight has corrected accSmooth" in (tmp_path / "i").read_text(encoding="utf-8")
 
 
 def test_readings_that_px4_has_not_corrected_are_not_doubted(

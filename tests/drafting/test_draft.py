@@ -203,7 +203,7 @@ def test_a_rate_that_the_times_show_is_known_as_they_are(
     session, said = drafted(log, tmp_path, "--sample-rate", rate)
     found = (session.log.time, session.log.rate, session.log.time_base_u)
     assert found == (("time_ms", None, USUAL_CLOCK_U) if shown else (None, float(rate), USUAL_RATE_U))
-    assert ("time: that is the rate given, " in said) == shown
+    assert ("time: the column shows the rate given, " in said) == shown
     assert ("column 'time_ms' is not used, since the rate was given" in said) == (not shown)
     assert "leave --sample-rate out" not in said
 

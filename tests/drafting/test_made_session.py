@@ -50,7 +50,7 @@ def test_a_magnetometer_that_waits_in_the_session_is_said(logs: Path) -> None:
     pl.read_csv(logs / "flight-1.2.csv").with_columns(**field).write_csv(logs / "mag.csv")
     folder, said = made(logs / "mag.csv")
     assert said == (
-        f"kept in {folder / 'session.toml'}, where the magnetometer is a comment: take the # away to calibrate it too"
+        f"kept in {folder / 'session.toml'}, where the magnetometer is commented out: remove the # to calibrate it too"
     )
 
 
@@ -66,7 +66,7 @@ def test_a_copy_of_a_log_has_the_session_and_the_serial_number_of_the_first(logs
     assert read_session(first).device.serial == "flight-1.2"
     folder, said = made(copy, replace(GIVEN, serial="B"))
     assert folder == first
-    assert "replaces that of serial number 'flight-1.2'" in said
+    assert "in place of the session of serial number 'flight-1.2'; " in said
     assert read_session(first).device.serial == "B"
 
 
@@ -98,7 +98,8 @@ def test_other_statements_make_it_anew_and_keep_what_was_put_there(logs: Path) -
     (folder / "calibration.json").write_text("{}", encoding="utf-8")
     again, said = made(logs / "flight-1.2.csv", Given(latitude=40.0))
     assert again == folder
-    assert "with other options or by another version: anew; kept in" in said
+    assert "made anew, with other options or by another version" in said
+    assert "in place of the session of serial number 'flight-1.2'; kept in" in said
     assert "latitude_deg = 40.0" in (folder / "session.toml").read_text(encoding="utf-8")
     assert {f.name for f in folder.iterdir()} == {"session.toml", "made.json", "notes.txt"}
     assert [f.name for f in logs.iterdir() if f.name.startswith(".")] == []

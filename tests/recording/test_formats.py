@@ -352,7 +352,7 @@ def test_what_an_ardupilot_has_applied_and_states_is_undone(
     read = pl.concat(message.rows())
     np.testing.assert_allclose(read.select("accel_x", "accel_y", "accel_z").to_numpy(), force, rtol=0.0, atol=1e-6)
     np.testing.assert_allclose(read.select("gyro_x", "gyro_y", "gyro_z").to_numpy(), rate, rtol=0.0, atol=1e-7)
-    assert message.remark.startswith("undone: what ArduPilot had applied, INS_ACCOFFS 0.1 -0.05 0.2")
+    assert message.remark.startswith("ArduPilot's corrections are undone: INS_ACCOFFS 0.1 -0.05 0.2")
     assert ("AHRS_ORIENTATION" in message.remark) == (orientation != 0)
     assert message.doubt == ""
 

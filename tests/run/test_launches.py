@@ -80,7 +80,7 @@ def test_another_device_under_the_same_serial_number_is_remarked_first(runs: lis
     assert found.outcome.accepted
     first = found.outcome.remarks[0]
     assert first.startswith("the launches differ by more than power-ons and noise of one device: ")
-    assert "another device under this serial number, or it was changed" in first
+    assert "they are of different devices, or the device was changed" in first
     assert not any("the launches differ" in remark for remark in mean_of_launches(runs).outcome.remarks)
 
 

@@ -41,24 +41,9 @@ _SIGN = "an accelerometer at rest with its axis up must read +g"
 
 
 def vertical_faults(observations: Observations, session: Session, rate: float, g_sensitivity: float) -> list[str]:
-    """Return why nominal gyros do not carry the vertical from rest to rest, or why up is down.
+    """Return why nominal gyros do not carry the vertical from rest to rest, or why up is down: the most likely causes.
 
-    Parameters
-    ----------
-    observations
-        Rests and turns with their samples.
-    session
-        The session, with the stated units and columns.
-    rate
-        Samples per second.
-    g_sensitivity
-        Usual g-sensitivity of the gyros, rad·s/m.
-
-    Returns
-    -------
-    list of str
-        Sentences with the most likely cause; empty if there is no fault.
-    """
+    `rate` is in samples per second, `g_sensitivity` the usual one of the gyros, rad·s/m."""
     turns, block, channels = observations.turns, observations.gyro_block, session.log.gyro
     if turns is None or block is None or channels is None or len(turns) == 0:
         return upside_down(observations, session, g_sensitivity)

@@ -27,20 +27,8 @@ UPRIGHT = 0.9  # least cosine of the tilt of a face
 
 
 def with_common_tilt(estimate: Estimate, observations: Observations) -> Estimate:
-    """Add the common tilt of level faces to u, with a remark, if it exceeds u and no oblique rests check it.
-
-    Parameters
-    ----------
-    estimate
-        Estimate of accelerometers.
-    observations
-        Observations it was made from.
-
-    Returns
-    -------
-    Estimate
-        The estimate with the tilt in covariance and budget, or the same one.
-    """
+    """Add the common tilt of level faces to covariance and budget, with a remark, if it exceeds u and no oblique rests
+    check it."""
     block, g = observations.accel_block, observations.site.gravity
     if not block.triad or not any(name.startswith("accel.axis") for name in estimate.unobservable):
         return estimate

@@ -16,7 +16,7 @@ from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.inference.integral import is_poorly_sampled
 from tumble.recording.session import Site
-from tumble.recording.session.document import last_digit_u
+from tumble.recording.session.document import UNKNOWN_HEIGHT_GRAVITY_U
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation
 from tumble.sensors.parameters import group_name, limits_of, sensor_kind
@@ -29,7 +29,6 @@ IMPOSSIBLE_BIAS = 5.0  # in limits of a gyro bias
 SPREAD_DEGREES = 2.0  # degrees of freedom of the usual spread of scale factors, which is right within a factor of two
 MILLIGAL = 1e-5  # m/s²
 DOUBTFUL_SIGMAS = 4.0  # of the difference between stated and normal gravity; high mountains reach it
-COARSE_DIGITS = 10.0  # ratio of the u of a last digit to the stated u; one or two last digits may be zero by chance
 IMPOSSIBLE_ANOMALY = 1100.0 * MILLIGAL
 """No anomaly on Earth reaches 1,000 mGal. imu_tk takes a value 1,091 mGal above normal gravity for its recording, on
 which published results rest."""
@@ -87,7 +86,9 @@ def verdict(
 
 
 def _doubtful_gravity(site: Site) -> Iterator[Finding]:
-    """Refuse gravity that no place on Earth has, and report gravity that few places have or with too few digits."""
+    """Refuse gravity that no place on Earth has, and report gravity that few places have.
+
+    A height of zero is also that of a site whose height is not stated."""
     anomaly = gravity_anomaly(site)
     if anomaly is not None and abs(anomaly) > IMPOSSIBLE_ANOMALY:
         yield refusal(
@@ -97,18 +98,13 @@ def _doubtful_gravity(site: Site) -> Iterator[Finding]:
             "accel.scale",
         )
         return
-    sigmas = abs(anomaly or 0.0) / float(np.hypot(site.gravity_u, NORMAL_GRAVITY_U))
+    normal_u = NORMAL_GRAVITY_U if site.height else UNKNOWN_HEIGHT_GRAVITY_U
+    sigmas = abs(anomaly or 0.0) / float(np.hypot(site.gravity_u, normal_u))
     if sigmas > DOUBTFUL_SIGMAS:
         yield remark(
             f"{gravity_text(site)} at {site.height:.0f} m, {sigmas:.1f} times the standard uncertainty of both: "
             "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true; if it is wrong, "
             f"so are the scale factors of the accelerometers, by {1e6 * (anomaly or 0.0) / site.gravity:+.0f} ppm",
-            "accel.scale",
-        )
-    if 0.0 < COARSE_DIGITS * site.gravity_u < (digit_u := last_digit_u(site.gravity)):
-        yield remark(
-            f"gravity {site.gravity!r} m/s^2 has a last digit of u {digit_u:.1g} m/s^2, more than the stated gravity_u "
-            f"of {site.gravity_u:.1g} m/s^2: write all digits of gravity in [site], or a larger gravity_u",
             "accel.scale",
         )
 
@@ -263,25 +259,10 @@ def gravity_text(site: Site) -> str:
 def doubtful_time_base(estimate: Estimate, usual: float) -> tuple[str, ...]:
     """Return a remark if the scale factors of the gyros have a common error, as by a wrong time base.
 
-    Parameters
-    ----------
-    estimate : Estimate
-        Estimate with gyros.
-    usual : float
-        Standard deviation of scale-factor errors over instruments of the grade.
-
-    Returns
-    -------
-    tuple of str
-        A remark, or nothing.
-
-    Notes
-    -----
     The mean of n scale-factor errors is N(0, σ²/n), beside its own uncertainty, that of the time base included. σ is
-    estimated from the spread s of the n errors and the usual one, which counts as SPREAD_DEGREES degrees of freedom ν₀:
-    σ² = (ν₀ usual² + (n − 1) s²)/(ν₀ + n − 1). The mean is tested by Student's t with the degrees of freedom of Welch
-    and Satterthwaite.
-    """
+    estimated from the spread s of the n errors and the `usual` standard deviation over instruments of the grade, which
+    counts as SPREAD_DEGREES degrees of freedom ν₀: σ² = (ν₀ usual² + (n − 1) s²)/(ν₀ + n − 1). The mean is tested by
+    Student's t with the degrees of freedom of Welch and Satterthwaite."""
     gyro_scale = [i for i, name in enumerate(estimate.names) if group_name(name) == "gyro.scale"]
     n = len(gyro_scale)
     if n < len("xyz") or not estimate.observable[gyro_scale].all():

@@ -277,7 +277,9 @@ def ended_rows(lines: Sequence[str]) -> TextForm | None:
     ended = sum(line.count(";") == 1 and line.rstrip().endswith(";") for line in lines)
     if ended <= max(_ALIKE_SHARE * sum(bool(line.strip()) for line in lines), 1):
         return None
-    return TextForm(rows=lambda lines: (("", [line.rstrip("; \t")]) for line in lines), title="semicolons behind rows")
+    return TextForm(
+        rows=lambda lines: (("", [line.rstrip("; \t")]) for line in lines), title="semicolons that end rows"
+    )
 
 
 # -------------------- a line for each sensor --------------------

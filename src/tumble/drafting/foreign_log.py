@@ -155,7 +155,8 @@ class ForeignLog:
             shown = [t for t in self.stamped_times() if t.even and is_rounded(rate, t.rate)]
             if not shown:
                 return times_without_column(rate, ())
-            return replace(shown[0], rivals=(), remarks=(*shown[0].remarks, f"time: that is the rate given, {rate:g}"))
+            remark = f"time: the column shows the rate given, {rate:g}"
+            return replace(shown[0], rivals=(), remarks=(*shown[0].remarks, remark))
         stamps = self.stamps()
         times = None if stamps is None else times_of_column(stamps)
         if times is not None and stamps is not None:

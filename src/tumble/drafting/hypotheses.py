@@ -121,6 +121,12 @@ class Evidence:
         """Median reading of the gyros at rest (3,)."""
         return np.median(self.gyro, axis=0) if len(self.gyro) else np.zeros(3)
 
+    def with_turns(self, turns: Sequence[tuple[Array, Array, Array]], widths: Widths) -> Evidence:
+        """Return the evidence with these turns in place of any others."""
+        readings = [np.quantile(np.linalg.norm(sums, axis=1), _TURN_QUANTILE) for sums, _, _ in turns]
+        turning = float(np.median(readings)) if turns else 0.0
+        return replace(self, turns=len(turns), turning=turning, profiles=turn_likelihoods(turns, widths))
+
     def is_good(self, vertical: float) -> bool:
         """Return True if rotations explain the turns, between verticals with this standard deviation, rad."""
         return min((p.least for p in self.profiles), default=0.0) < 0.5 * least_cost(self.turns, vertical)
@@ -179,11 +185,9 @@ def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: 
     for rests_of_kind in (accel, gyro):
         block_scatter = [np.sqrt(blocks.var(axis=0).mean()) for blocks in rests_of_kind if blocks.size]
         scatters.append(float(np.median(block_scatter)) * np.sqrt(reduction.files[0].size) if block_scatter else 0.0)
-    turn_readings = [np.quantile(np.linalg.norm(sums, axis=1), _TURN_QUANTILE) for sums, _, _ in turns]
-    return Evidence(
+    at_rest = Evidence(
         rate=reduction.rate,
         rests=len(spans),
-        turns=len(turns),
         length=length,
         zero=zero,
         length_u=length_u,
@@ -191,9 +195,8 @@ def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: 
         samples=np.array([(s.last - s.first) * files[s.file].size for s in spans]),
         accel_scatter=scatters[0] / max(length, 1e-300),
         gyro_scatter=scatters[1],
-        turning=float(np.median(turn_readings)) if turns else 0.0,
-        profiles=turn_likelihoods(turns, widths),
     )
+    return at_rest.with_turns(turns, widths)
 
 
 def _evidence_in_motion(reduction: Reduction, at_rest: Evidence, widths: Widths) -> Evidence:
@@ -212,13 +215,7 @@ def _evidence_in_motion(reduction: Reduction, at_rest: Evidence, widths: Widths)
     if not spans or not reduction.gyro_channels:
         return at_rest
     turns = _turns(reduction, tuple(spans), np.array(up), at_rest.bias[None])
-    readings = [np.quantile(np.linalg.norm(sums, axis=1), _TURN_QUANTILE) for sums, _, _ in turns]
-    return replace(
-        at_rest,
-        turns=len(turns),
-        turning=float(np.median(readings)) if turns else 0.0,
-        profiles=turn_likelihoods(turns, replace(widths, vertical=_VERTICAL_IN_MOTION)),
-    )
+    return at_rest.with_turns(turns, replace(widths, vertical=_VERTICAL_IN_MOTION))
 
 
 def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float, list[float], Array]:

@@ -67,7 +67,8 @@ def session_of_log(
                 f"session corrected by hand; calibrate it as it is (tumble calibrate {folder}), or remove it"
             )
         origin = (
-            f"{folder}: replaces that of serial number {former!r}, with other options or by another version: anew; "
+            f"{folder}: made anew, with other options or by another version, in place of the session of serial number "
+            f"{former!r}; "
         )
     else:
         folder = log.with_name(f"{stem}-session")
@@ -82,7 +83,7 @@ def session_of_log(
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         origin += f"kept in {folder / SESSION_FILE}"
         if draft.magnetometer is not None:
-            origin += ", where the magnetometer is a comment: take the # away to calibrate it too"
+            origin += ", where the magnetometer is commented out: remove the # to calibrate it too"
         yield folder, origin, draft.remarks, faults
 
 

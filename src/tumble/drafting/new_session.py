@@ -51,7 +51,7 @@ _SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEG
 _PLAUSIBLE_TEMPERATURES = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # median of a recording
 _CORRECTED = {
     "accelerometer_m_s2[0]": PX4_CORRECTED,
-    "accSmooth[0]": "accSmooth is what Betaflight has corrected by align_board_* and acc_calibration (iNav: acczero_*, "
+    "accSmooth[0]": "Betaflight has corrected accSmooth by align_board_* and acc_calibration (iNav: acczero_*, "
     "accgain_*): an export is wrong unless these were 0 (gains 4096) while recording",
 }
 """Doubts by the name of a column."""
@@ -197,7 +197,7 @@ def drafted_log(
         options = [*given.columns, *(f"{kind}-unit" for kind in given.units)]
         raise InputError(
             f"--{', --'.join(options)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
-            "messages say what is what; --message takes one"
+            "messages name their sensors; --message selects one"
         )
     elif len(recordings) < len(files):
         raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")

@@ -41,16 +41,8 @@ MOST_RUNS = 12  # runs of suspects in one turn that are judged one by one; if th
 def with_mended_samples(observations: Observations) -> Observations:
     """Return observations in which suspect samples are replaced only where their turns close better without them.
 
-    Parameters
-    ----------
-    observations
-        Observations of one session with all suspects replaced.
-
-    Returns
-    -------
-    Observations
-        With a note of the turns with replaced samples; the same observations if no parameters can be estimated.
-    """
+    In the observations given, of one session, all suspects are replaced. A note names the turns with replaced samples.
+    The same observations are returned if no parameters can be estimated."""
     if observations.turn_samples is None or not len(observations.turn_samples.bad.at):
         return observations
     suspects = observations.turn_samples.bad
@@ -58,7 +50,8 @@ def with_mended_samples(observations: Observations) -> Observations:
     replaced = impossible
     if not impossible.all():
         as_recorded = observations.with_bad_samples(_chosen(suspects, impossible))
-        runs = _runs_of(suspects)
+        starts = (np.diff(suspects.at) > 1) | (np.diff(suspects.turn) > 0)
+        runs = np.concatenate([[0], np.cumsum(starts)])  # of consecutive samples in one turn
         try:
             with np.errstate(over="ignore", invalid="ignore"):
                 replaced = impossible | _closing_best(as_recorded, suspects, runs, impossible)[runs]
@@ -136,12 +129,6 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
         if settled:
             break
     return replaced
-
-
-def _runs_of(suspects: BadSamples) -> IntArray:
-    """Return the number of the run (m,), consecutive samples in one turn, that each suspect belongs to."""
-    new = (np.diff(suspects.at) > 1) | (np.diff(suspects.turn) > 0)
-    return np.concatenate([[0], np.cumsum(new)])
 
 
 def _chosen(suspects: BadSamples, which: BoolArray) -> BadSamples:

@@ -71,24 +71,10 @@ class DevicePrior(Brief):
 def with_prior(
     estimate: Estimate, observations: Observations, prior: DevicePrior, reference: float | None = None
 ) -> tuple[Estimate, tuple[str, ...]]:
-    """Combine an estimate of the method joint with prior knowledge of its device.
+    """Combine an estimate of the method joint with prior knowledge of its device, in place of the usual sizes.
 
-    Parameters
-    ----------
-    estimate, observations
-        The estimate with the usual sizes of the grade, and its observations.
-    prior
-        Prior knowledge in place of the usual sizes.
-    reference
-        Temperature of the estimate in °C.
-
-    Returns
-    -------
-    estimate
-        The combined estimate; the same if the prior has none of its parameters.
-    notes
-        Sentences on the prior used, and on parameters that contradict it.
-    """
+    Return the combined estimate (the same if the prior has none of its parameters), and sentences on the prior used and
+    on parameters that contradict it. `reference` is the temperature of the estimate in °C."""
     prior, names = prior.at(reference), estimate.names
     places = prior.places(names)
     if not places or estimate.budget is None or estimate.linearised is None:
@@ -118,7 +104,7 @@ def with_prior(
     replaced = {group_name(names[i]) for i in places} & further
     sources = estimate.budget.sources
     kept = np.array([part.name.removeprefix("prior.") not in replaced for part in sources])
-    change = covariance @ _inverse(estimate.covariance)
+    change = covariance @ symmetric_inverse(estimate.covariance)
     budget = UncertaintyBudget(
         sources=tuple(part for part, keep in zip(sources, kept, strict=True) if keep),
         covariances=change @ estimate.budget.covariances[kept] @ change.T,
@@ -152,7 +138,7 @@ def _without_usual_sizes(
     assert budget is not None
     replaced = {group_name(names[i]) for i in places} & {group.name for group in estimate.groups}
     kept = np.array([part.name.removeprefix("prior.") not in replaced for part in budget.sources])
-    precision = _inverse(estimate.covariance)
+    precision = symmetric_inverse(estimate.covariance)
     information = precision @ budget.covariances[kept].sum(axis=0) @ precision
     start = np.array([observations.start.get(name, 0.0) for name in names])
     from_start = np.where([group_name(name) in replaced for name in names], estimate.values - start, 0.0)
@@ -165,13 +151,13 @@ def _combined(
     """Return values (m,) and covariance (m, m) by Eq. (1), and S⁻¹ (m, m)."""
     at, in_prior = list(places), list(places.values())
     by_prior, mean = np.zeros_like(information), np.zeros(len(shift))
-    by_prior[np.ix_(at, at)] = _inverse(prior.covariance[np.ix_(in_prior, in_prior)])
+    by_prior[np.ix_(at, at)] = symmetric_inverse(prior.covariance[np.ix_(in_prior, in_prior)])
     mean[at] = prior.mean[in_prior]
-    covariance = _inverse(information + by_prior)
+    covariance = symmetric_inverse(information + by_prior)
     return covariance @ (shift + by_prior @ mean), covariance, by_prior
 
 
-def _inverse(matrix: Array) -> Array:
+def symmetric_inverse(matrix: Array) -> Array:
     """Return the inverse of a symmetric matrix, scaled because its rows may differ by orders of magnitude."""
     size = np.sqrt(np.diag(matrix))
     inverse = np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size)

@@ -74,7 +74,7 @@ def _temperature_regressors(observations: Observations, lag: float) -> dict[Vari
         _powers_of_temperature(warmth, reference) for warmth in _mean_temperatures(observations, kelvin, lag)
     )
     out = {name: (rest[name], turn[name], 2.0 * (after[name] - before[name]) / seconds) for name in rest}
-    if lag_is_sought(observations):
+    if _range_within_session(observations) > LEVEL:  # enough for a lag to matter
         out["lag"] = np.zeros_like(rest["temperature"]), *np.zeros((2, *turn["temperature"].shape))
     if not on_a_ramp(observations):
         del out["hysteresis"]
@@ -126,11 +126,6 @@ def over_a_range(observations: Observations) -> bool:
     if observations.thermometers is None or kelvin is None:
         return False
     return bool(np.ptp(kelvin, axis=0).max() >= OVER_TEMPERATURE)
-
-
-def lag_is_sought(observations: Observations) -> bool:
-    """Return True if the temperature changes enough within a session for a lag to matter."""
-    return _range_within_session(observations) > LEVEL
 
 
 def on_a_ramp(observations: Observations) -> bool:

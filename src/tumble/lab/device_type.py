@@ -36,7 +36,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from tumble.inference.prior import DevicePrior
+from tumble.inference.prior import DevicePrior, symmetric_inverse
 from tumble.result.calibration import Calibration
 from tumble.result.launch_variances import LaunchVariances, launch_variances
 from tumble.result.parts import Parameter
@@ -80,7 +80,7 @@ class Unit:
 
     def estimates(self) -> dict[str, tuple[float, float]]:
         """Return value and variance, SI, of each parameter without its own prior but with the priors of the others."""
-        covariance = _inverse(self.information + np.diag(self.usual))
+        covariance = symmetric_inverse(self.information + np.diag(self.usual))
         values, variances = covariance @ self.shift, np.diag(covariance)
         precision = 1.0 / variances - self.usual
         return {
@@ -195,7 +195,7 @@ def _marginal(unit: Unit, names: Sequence[str]) -> tuple[Array, Array]:
     rows = [i for i, name in enumerate(names) if name in unit.names]
     kept = [unit.names.index(names[i]) for i in rows]
     others = [i for i in range(len(unit.names)) if i not in kept]
-    gain = unit.information[np.ix_(kept, others)] @ _inverse(
+    gain = unit.information[np.ix_(kept, others)] @ symmetric_inverse(
         unit.information[np.ix_(others, others)] + np.diag(unit.usual[others])
     )
     information, shift = np.zeros((len(names), len(names))), np.zeros(len(names))
@@ -211,7 +211,7 @@ def _mean(information: Array, shift: Array, b: Array) -> tuple[Array, Array, Arr
     one = np.eye(len(b))
     W = np.linalg.solve(one + information * b, information)
     w = np.linalg.solve(one + information * b, shift[..., None])[..., 0]
-    M = _inverse(np.diag(1.0 / np.maximum(1.0 - b, 0.1)) + W.sum(axis=0))
+    M = symmetric_inverse(np.diag(1.0 / np.maximum(1.0 - b, 0.1)) + W.sum(axis=0))
     mean = M @ w.sum(axis=0)
     p = np.diagonal(W, axis1=1, axis2=2) - np.einsum("ijk,kl,ilj->ij", W, M, W)
     return mean, M, w - W @ mean, np.maximum(p, 0.0)
@@ -236,10 +236,3 @@ def _variances(information: Array, shift: Array, groups: Sequence[Sequence[int]]
         error[members] = np.sqrt(2.0 / max((p[:, members] ** 2).sum(), 1e-300))
         degrees[members] = (b[members] * p[:, members]).sum()
     return np.minimum(b + error, 1.0), degrees
-
-
-def _inverse(matrix: Array) -> Array:
-    """Return the inverse of a symmetric matrix with rows of very different scale."""
-    size = np.sqrt(np.diag(matrix))
-    inverse = np.linalg.inv(matrix / np.outer(size, size)) / np.outer(size, size)
-    return np.asarray(0.5 * (inverse + inverse.T))

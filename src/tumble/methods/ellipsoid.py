@@ -31,25 +31,9 @@ from tumble.units import Array
 def ellipsoid(observations: Observations, *, intervals: bool = True) -> Estimate:
     """Estimate the accelerometer parameters of a session.
 
-    Parameters
-    ----------
-    observations
-        Rests of three accelerometers.
-    intervals
-        Whether the sizes of groups are integrated by `joint`; otherwise they are at the maximum.
-
-    Returns
-    -------
-    Estimate
-        The estimate; without observable parameters if the positions do not determine them.
-
-    Raises
-    ------
-    InputError
-        For more than three accelerometers.
-    numpy.linalg.LinAlgError
-        If the rests lie on no ellipsoid.
-    """
+    With `intervals`, the sizes of groups are integrated by `joint`; otherwise they are at the maximum. If the positions
+    do not determine the parameters, none is observable. Raises InputError for more than three accelerometers, and
+    LinAlgError if the rests lie on no ellipsoid."""
     block, rests, site = observations.accel_block, observations.rests, observations.site
     if block.size != 3:
         raise InputError(
@@ -98,19 +82,10 @@ def estimate_of(
     by_rests: Estimate | None = None,
     by_session: Estimate | None = None,
 ) -> Estimate:
-    """Build the estimate of a fit to the rests of observations.
+    """Return the estimate of a fit to the rests of observations; its covariance is zero if the fit has none.
 
-    Parameters
-    ----------
-    fit
-        The fit; without a covariance, that of the estimate is zero.
-    observations
-        The rests.
-    by_rests
-        Estimate by `joint` from the same rests, by which they are judged.
-    by_session
-        Estimate by `joint` from the whole session with its turns, which gives the sizes of groups of parameters.
-    """
+    `by_rests` is an estimate by `joint` from the same rests, by which they are judged, `by_session` one from the whole
+    session with its turns, which gives the sizes of groups of parameters."""
     block = observations.accel_block
     covariance = np.zeros((9, 9)) if fit.covariance is None else fit.covariance
     variance = np.diag(covariance)

@@ -49,24 +49,10 @@ RELATIVE_RANK = 1e-9  # of L
 def with_groups(
     estimate: Estimate, fit: EllipsoidFit, observations: Observations, grades: Sequence[Mapping[str, float]]
 ) -> Estimate:
-    """Add the omitted groups to an estimate of the linear model, and their part to its covariance.
+    """Add the omitted groups, at zero, to an estimate of the linear model by the method `ellipsoid` and its fit.
 
-    Parameters
-    ----------
-    estimate
-        Estimate by the method `ellipsoid`.
-    fit
-        Its fit.
-    observations
-        The rests that were fitted.
-    grades
-        For each possible grade of the instrument, usual standard deviations, SI, by group.
-
-    Returns
-    -------
-    Estimate
-        The same values, groups at zero, with covariance, degrees of freedom and budget.
-    """
+    Their part is added to covariance, degrees of freedom and budget. `grades` are the usual standard deviations by
+    group, SI, for each possible grade of the instrument."""
     names = dict.fromkeys(name for sizes in grades for name in sizes)
     usual = {name: float(np.sqrt(np.mean([sizes.get(name, 0.0) ** 2 for sizes in grades]))) for name in names}
     rests, sigma = replace(observations, usual=usual), reading_sigmas(fit, observations)

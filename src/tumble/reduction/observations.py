@@ -233,28 +233,11 @@ def observe(
     arrays: tuple[ArrayMoments, ...] | None = None,
     links: Links | None = None,
 ) -> Observations:
-    """Reduce the rests and turns of a log to observations.
+    """Return all rests of a log, and the turns that were recorded completely.
 
-    Parameters
-    ----------
-    reduction
-        The blocks of the log.
-    spans
-        The rests, at least one unless links are given.
-    accel, gyro
-        The accelerometers and the gyros; None without gyros.
-    site
-        Site of the recording.
-    arrays
-        Moments of an array in motion, which do not depend on the rests, if already known.
-    links
-        Links between these rests, of a device that is moved (`tumble.reduction.turns.links.links_of`).
-
-    Returns
-    -------
-    Observations
-        With all rests, and the turns that were recorded completely.
-    """
+    `spans` are the rests, at least one unless `links` between them are given, of a device that is moved
+    (`tumble.reduction.turns.links.links_of`). `arrays` are moments of an array in motion, which do not depend on the
+    rests, if already known."""
     if links is not None:
         gaps = [gap_between(a, b, 1, "links", why="") for a, b in pairwise(spans) if is_linked(a, b)]
         reduction = replace(reduction, gaps=(*reduction.gaps, *gaps))

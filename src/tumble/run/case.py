@@ -65,22 +65,10 @@ def rotation_between(first: Array, second: Array) -> Array:
 
 
 def align_case(vertical: Array, by_parameters: Array, normals_c: Array) -> CaseAlignment:
-    """Align the accelerometers to the case by N placements on its faces.
+    """Align the accelerometers to the case by N placements on its faces, with nominal verticals `normals_c` (N, 3).
 
-    Parameters
-    ----------
-    vertical
-        Verticals (N, 3) in b.
-    by_parameters
-        Their derivative (N, 3, m) with respect to parameters of the accelerometers.
-    normals_c
-        Nominal verticals (N, 3) in the case.
-
-    Raises
-    ------
-    InputError
-        Unless the faces are in three different directions.
-    """
+    `vertical` (N, 3) in b has derivatives (N, 3, m) with respect to parameters of the accelerometers. Raises InputError
+    unless the faces are in three different directions."""
     if len(normals_c) < 3 or np.linalg.svd(normals_c, compute_uv=False)[2] < _SINGULAR:
         raise InputError(
             f"case: expected placements on faces in three directions, found {len(normals_c)} placements in fewer"

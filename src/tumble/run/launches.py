@@ -315,8 +315,8 @@ def _differing_launches(
         yield (
             f"the launches differ by more than power-ons and noise of one device: {p.name} has a standard deviation of "
             f"{two_digits((p.run_to_run or 0.0) / size)} {unit} from launch to launch, {ratio**0.5:.1f} times what is "
-            f"usual for the grade {grade}, by chance with probability {len(tested) * chance:.1g}: another device under "
-            "this serial number, or it was changed or much warmer between the launches; calibrate each launch alone"
+            f"usual for the grade {grade} (by chance with probability {len(tested) * chance:.1g}): they are of "
+            "different devices, or the device was changed or much warmer in between; calibrate each launch alone"
         )
 
 

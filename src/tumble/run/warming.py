@@ -289,7 +289,10 @@ def _with_coefficients(
         before = lines.get(line.name, line)
         lines[line.name] = replace(before, contributions={**before.contributions, **line.contributions})
     if not has_reference:  # it may be any of the recorded temperatures
-        over_span = _covariance_over_span(observations, names, values)[:first, :first]
+        kelvin = _kelvin(observations)
+        moves = [to_temperature(names, float(d)) for d in (kelvin - kelvin.mean(axis=0)).mean(axis=1)]
+        changes = np.array([(move - np.eye(len(names))) @ values for move in moves])
+        over_span = np.cov(changes, rowvar=False)[:first, :first]
         covariance[:first, :first] += over_span
         lines["temperature"] = SourceContributions(
             name="temperature",
@@ -370,13 +373,6 @@ def _temperature(session: Session, observations: Observations) -> CalibratedTemp
 def _kelvin(observations: Observations) -> Array:
     assert observations.rests.temperatures is not None
     return observations.rests.temperatures
-
-
-def _covariance_over_span(observations: Observations, names: list[str], values: Array) -> Array:
-    """Return the covariance (m, m) of parameters over the temperatures of the rests, by their coefficients."""
-    kelvin = _kelvin(observations)
-    moves = [to_temperature(names, float(d)) for d in (kelvin - kelvin.mean(axis=0)).mean(axis=1)]
-    return np.cov(np.array([(move - np.eye(len(names))) @ values for move in moves]), rowvar=False)
 
 
 # -------------------- notes --------------------

@@ -128,26 +128,13 @@ _ENDINGS = {variable: ending for variable, (ending, _, _) in _CHANGES.items()}
 OVER_TEMPERATURE = tuple(_ENDINGS[variable] for variable in THERMAL)  # endings of coefficients of polynomials
 
 
-def _by_force(block: Block) -> tuple[str, ...]:
-    separator = "" if block.triad else "."
-    return tuple(f"{sensor}{separator}{axis}" for sensor in block.sensors for axis in "xyz")
-
-
-def _levers(block: Block) -> tuple[str, ...]:
-    return tuple(f"{sensor}.{axis}" for sensor in block.sensors[:-1] for axis in "xyz")
-
-
-def _once(_: Block) -> tuple[str, ...]:
-    return ("",)
-
-
 _SUFFIXES: Mapping[str, Callable[[Block], tuple[str, ...]]] = {
     "sensors": attrgetter("sensors"),
     "angles": attrgetter("angles"),
     "others": lambda block: block.sensors[:-1],
-    "by force": _by_force,
-    "levers": _levers,
-    "once": _once,
+    "by force": lambda block: tuple(s + ("" if block.triad else ".") + axis for s in block.sensors for axis in "xyz"),
+    "levers": lambda block: tuple(f"{sensor}.{axis}" for sensor in block.sensors[:-1] for axis in "xyz"),
+    "once": lambda _: ("",),
 }
 
 
@@ -359,7 +346,7 @@ def is_parameter(name: str) -> bool:
     """Return True if a name is that of a parameter of some sensor."""
     entry = named_group(group_name(name))
     sensor = within_group(name).removesuffix(f".{_ENDINGS.get(entry.variable, '')}") if entry else ""
-    return entry is not None and bool(sensor or entry.suffixes is _once)
+    return entry is not None and bool(sensor or entry.suffixes is _SUFFIXES["once"])
 
 
 def name_covers(name: str, parameter: str) -> bool:
@@ -423,14 +410,7 @@ def prior_sizes(
 ) -> dict[str, float]:
     """Return the prior standard deviations of the groups beyond the linear model, SI, by group.
 
-    Parameters
-    ----------
-    grade
-        Grade of the instrument.
-    sheet
-        Standard deviations that a data sheet states, SI, by group.
-    usual
-        Sizes in place of the usual ones of the grade.
+    `sheet` has the standard deviations that a data sheet states, `usual` sizes in place of those of the grade.
 
     Notes
     -----

@@ -48,20 +48,9 @@ class Recording(Itinerary):
 
 
 def record(scenario: Scenario, rng: np.random.Generator) -> Recording:
-    """Record a scenario in memory; attitudes and times do not depend on the noise.
+    """Record a scenario in memory; attitudes and times do not depend on the noise. Each accelerometer may have a delay.
 
-    Parameters
-    ----------
-    scenario
-        The scenario; each accelerometer may have a delay.
-    rng
-        Random numbers.
-
-    Raises
-    ------
-    InputError
-        If the scenario is impossible or too long.
-    """
+    Raises InputError if the scenario is impossible or too long."""
     geometry, noise = rng.spawn(2)
     course, fs = itinerary(scenario, geometry), scenario.setup.sample_rate
     samples = float(course.rests[-1, 1]) * float(fs)

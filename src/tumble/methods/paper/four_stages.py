@@ -258,24 +258,10 @@ def _series(programme: Programme, position: IntArray, first: Sequence[int]) -> t
 def iterated(
     observations: Observations, iterations: int = 2, *, method: PaperMethod, intervals: bool = True
 ) -> Estimate:
-    """Estimate the parameters of a session by a method of the paper.
+    """Estimate the parameters of a session from its start values by one or more passes of a method of the paper.
 
-    Parameters
-    ----------
-    observations
-        Rests and turns of a programme, and the values to start from.
-    iterations
-        Number of passes, at least one.
-    method
-        The method.
-    intervals
-        Whether scatter and sizes of groups are integrated by `joint`; otherwise they are at the maximum.
-
-    Raises
-    ------
-    InputError
-        For a session without what the method needs.
-    """
+    With `intervals`, scatter and sizes of groups are integrated by `joint`; otherwise they are at the maximum. Raises
+    InputError for a session without what the method needs."""
     if iterations < 1:
         raise InputError(f"iterations: expected at least 1, found {iterations}")
     session = _SessionData.of(observations, method)

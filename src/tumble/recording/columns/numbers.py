@@ -88,20 +88,9 @@ def guess_remarks(columns: Columns, named: Collection[str] = ()) -> list[str]:
 
 
 def columns_by_data(names: Sequence[str], table: Array) -> Columns:
-    """Identify the columns of a table by their numbers.
+    """Identify the columns of a table (m, n) by their numbers, NaN in columns of text.
 
-    Parameters
-    ----------
-    names
-        Names of the columns.
-    table
-        Numbers (m, n), NaN in columns of text.
-
-    Returns
-    -------
-    Columns
-        Without triads if no columns resemble accelerometers.
-    """
+    There are no triads if no columns resemble accelerometers."""
     if not len(table):
         return Columns(time=None, time_unit=None, triads={})
     growing = [j for j in range(len(names)) if grows(table[:, j])]

@@ -49,8 +49,8 @@ TIME = "t"
 """The time column in the rows of a message, s, on a clock common to all messages of a recording."""
 AXES = "xyz"
 PX4_CORRECTED = (
-    "sensor_combined is what PX4 has corrected by CAL_ACC*, CAL_GYRO* and turned by SENS_BOARD_ROT: an export is wrong "
-    "unless these were 0 (scales 1) while recording; or log the raw sensors at their rate (SDLOG_PROFILE)"
+    "PX4 has corrected sensor_combined by CAL_ACC* and CAL_GYRO* and turned it by SENS_BOARD_ROT: an export is wrong "
+    "unless these were 0 (scales 1) while recording; log the raw sensors at their rate instead (SDLOG_PROFILE)"
 )
 """Doubt about readings of the message sensor_combined."""
 _KINDS = {"accel": ACCEL, "gyro": GYRO, "field": MAGNETOMETER}

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack, redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
@@ -100,11 +100,8 @@ def _message(kind: str, instance: int, rows: Any, origin: float, parameters: Map
     prefix, counted = ("INS", "" if number == 1 else str(number)) if number <= _NAMED_INSIDE else (f"INS{number}", "")
     stems = {"accel": f"{prefix}_ACC{counted}", "gyro": f"{prefix}_GYR{counted}"}
     stems = {sensor: stem for sensor, stem in stems.items() if f"{sensor}_x" in _FIELDS[kind]}
-    doubt, undone = _UNKNOWN, list[str]()
-    if _are_stated(stems, parameters):
-        undone = list(_undo(rows, names, stems, parameters))
-        tcal = f"INS_TCAL{number}_ENABLE"
-        doubt = _COMPENSATED.format(tcal) if parameters.get(tcal) else ""
+    undone, tcal = _undo(rows, names, stems, parameters), f"INS_TCAL{number}_ENABLE"
+    doubt = _COMPENSATED.format(tcal) if parameters.get(tcal) else ""
     ids = {sensor: parameters.get(f"{stem}_ID") for sensor, stem in stems.items()}
     return Message(
         name=f"{kind}.{instance}",
@@ -112,35 +109,32 @@ def _message(kind: str, instance: int, rows: Any, origin: float, parameters: Map
         triads=triads_of(names, {"accel": "m/s^2", "gyro": "rad/s"}),
         temperatures=(_TEMPERATURE,) if warm else (),
         rows=lambda: iter([pl.DataFrame(rows[:, : len(names)], schema=names, orient="row")]),
-        remark=f"undone: what ArduPilot had applied, {', '.join(undone)}" if undone else "",
-        doubt=doubt,
+        remark=f"ArduPilot's corrections are undone: {', '.join(undone)}" if undone else "",
+        doubt=_UNKNOWN if undone is None else doubt,
         imu={sensor: AutopilotSensor(number=number, id=int(ids[sensor] or 0) or None) for sensor in stems},
     )
 
 
-def _are_stated(stems: Mapping[str, str], parameters: Mapping[str, float]) -> bool:
-    """Return whether the parameters that the autopilot applies to its readings are known."""
+def _undo(rows: Any, names: list[str], stems: Mapping[str, str], parameters: Mapping[str, float]) -> list[str] | None:
+    """Undo the corrections of the autopilot in the columns with these names, and return them in words; return None if
+    the log does not state them."""
     needed = {f"{stem}OFFS_X" for stem in stems.values()}
     needed |= {f"{stems['accel']}SCAL_X"} if "accel" in stems else set()
-    orientation = mavutil.mavlink.enums["MAV_SENSOR_ORIENTATION"].get(int(parameters.get("AHRS_ORIENTATION", 0)))
-    return needed <= parameters.keys() and orientation is not None and "Pitch" in orientation.description
-
-
-def _undo(rows: Any, names: list[str], stems: Mapping[str, str], parameters: Mapping[str, float]) -> Iterator[str]:
-    """Undo the corrections of the autopilot in the columns with these names, and yield them in words."""
     number = int(parameters.get("AHRS_ORIENTATION", 0))
-    stated = mavutil.mavlink.enums["MAV_SENSOR_ORIENTATION"][number].description
-    angles = {axis: float(angle) for axis, angle in re.findall(r"(Roll|Pitch|Yaw): (\d+)", stated)}
+    orientation = mavutil.mavlink.enums["MAV_SENSOR_ORIENTATION"].get(number)
+    if not needed <= parameters.keys() or orientation is None or "Pitch" not in orientation.description:
+        return None
+    angles = {axis: float(a) for axis, a in re.findall(r"(Roll|Pitch|Yaw): (\d+)", orientation.description)}
     turned = Rotation.from_euler("ZYX", [angles.get(axis, 0.0) for axis in ("Yaw", "Pitch", "Roll")], degrees=True)
+    undone = list[str]()
     for sensor, stem in stems.items():
         columns = [names.index(f"{sensor}_{axis}") for axis in AXES]
-        offset, scale = (
-            np.array([parameters.get(f"{stem}{what}_{axis.upper()}", usual) for axis in AXES])
-            for what, usual in (("OFFS", 0.0), ("SCAL", 1.0))
-        )
-        rows[:, columns] = (rows[:, columns] @ turned.as_matrix()) / scale + offset
-        for what, values, usual in (("OFFS", offset, 0.0), ("SCAL", scale, 1.0)):
-            if (values != usual).any():
-                yield f"{stem}{what} {' '.join(f'{value:.6g}' for value in values)}"
+        applied = dict[str, Any]()
+        for what, usual in (("OFFS", 0.0), ("SCAL", 1.0)):
+            applied[what] = np.array([parameters.get(f"{stem}{what}_{axis.upper()}", usual) for axis in AXES])
+            if (applied[what] != usual).any():
+                undone.append(f"{stem}{what} {' '.join(f'{value:.6g}' for value in applied[what])}")
+        rows[:, columns] = (rows[:, columns] @ turned.as_matrix()) / applied["SCAL"] + applied["OFFS"]
     if number:
-        yield f"AHRS_ORIENTATION {number} (the readings are in the axes of the sensor)"
+        undone.append(f"AHRS_ORIENTATION {number} (the readings are in the axes of the sensor)")
+    return undone

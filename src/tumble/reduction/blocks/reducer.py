@@ -394,24 +394,9 @@ def _to_body(block: Block) -> Array | None:
 def reduce_log(
     log: Log, accel: Block, gyro: Block | None, chunks: Iterable[Chunk] | None = None, tuning: Tuning = USUAL
 ) -> Reduction:
-    """Read a log once and reduce it.
+    """Read a log once and reduce it; its samples are `chunks`, by default `log.chunks()`.
 
-    Parameters
-    ----------
-    log
-        The log.
-    accel, gyro
-        The accelerometers and the gyros; None without gyros.
-    chunks
-        Its samples, by default `log.chunks()`; another iterator may show progress.
-    tuning
-        Thresholds of the search for rests and bad samples.
-
-    Raises
-    ------
-    LogError
-        If gaps leave no block.
-    """
+    `tuning` has the thresholds of the search for rests and bad samples. Raises LogError if gaps leave no block."""
     spec = log.session.log
     reducer = Reducer(
         rate=log.rate,

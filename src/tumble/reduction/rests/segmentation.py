@@ -209,20 +209,9 @@ class Segmentation:
 
 
 def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmentation:
-    """Find the rests of a log, or of a part of it.
+    """Return the rests of a log, or of a part of it, the rejected stretches, and the limits derived from the whole log.
 
-    Parameters
-    ----------
-    reduction
-        The blocks of the log, with the thresholds of the search.
-    accel, gyro
-        The accelerometers and the gyros. None to search with the accelerometers alone.
-
-    Returns
-    -------
-    Segmentation
-        The rests, the rejected stretches, and the limits derived from the whole log.
-    """
+    Without `gyro` the accelerometers alone are used."""
     tuning = reduction.tuning
     usual = _RestSearch(reduction, accel, gyro, tuning).run()
     n_short = sum(r.fails == "duration" and r.stop - r.start >= tuning.short_rest for r in usual.rejected)
