@@ -20,6 +20,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.reduction.noise.allan_deviation import allan_deviation
 from tumble.result.calibration import Calibration
+from tumble.result.parts import Launch
 from tumble.run.quiet_samples import longest_rest
 from tumble.sensors.frames import Frame
 from tumble.simulation.session import simulate_session
@@ -129,3 +130,10 @@ def test_without_a_session_the_noise_is_that_of_the_calibrations_rests() -> None
     assert 0.0 < content["accelerometer_random_walk"] < 1e-2
     assert content["update_rate"] == 100.0
     assert "largest that the drifts within the rests allow" in exported.losses[-1]
+
+
+def test_a_mean_of_launches_has_the_noise_of_their_rests() -> None:
+    found = calibrated(Setup.of(grade="mems", positions=12), seed=4)
+    launch = Launch(parameters=found.parameters, covariance=found.covariance, rests=found.evidence.rests, session="one")
+    mean = replace(found, evidence=replace(found.evidence, rests=(), launches=(launch, launch)))
+    assert "noise from 24 rests of the calibration" in export_calibration(mean, "kalibr").content.decode()

@@ -65,10 +65,10 @@ def _noise_of_rests(calibration: Calibration) -> NoiseDensities:
     """Return the median noise density within the rests of a calibration, and the random walk of their drifts.
 
     Raises InputError for a calibration without rests or gyros."""
-    densities = []
-    seconds = np.array([rest.stop - rest.start for rest in calibration.evidence.rests])
+    densities, all_rests = [], calibration.evidence.all_rests
+    seconds = np.array([rest.stop - rest.start for rest in all_rests])
     for kind in UNITS:
-        rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in calibration.evidence.rests]
+        rests: list[SensorsAtRest | None] = [getattr(rest, kind) for rest in all_rests]
         sensors_at_rest = [sensors for sensors in rests if sensors is not None]
         if not sensors_at_rest or len(sensors_at_rest) < len(rests):
             raise InputError(
@@ -83,7 +83,7 @@ def _noise_of_rests(calibration: Calibration) -> NoiseDensities:
         )
         walk = float(np.sqrt(walks.mean(axis=0).max()))
         densities.append(FilterDensities(white=float(white), walk=walk, bounds=(bound,)))
-    source = f"{len(calibration.evidence.rests)} rests of the calibration"
+    source = f"{len(all_rests)} rests of the calibration"
     return NoiseDensities(accel=densities[0], gyro=densities[1], rate=calibration.provenance.sample_rate, source=source)
 
 

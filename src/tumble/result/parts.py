@@ -449,6 +449,11 @@ class Evidence:
     launches: Annotated[tuple[Annotated[Launch, AfterValidator(check_result)], ...], _PerSession] = ()
     together: Annotated[tuple[Member, ...], _PerSession] = ()
 
+    @property
+    def all_rests(self) -> Rests:
+        """Rests of the session, or of all sessions whose calibrations were averaged."""
+        return (*self.rests, *(rest for launch in self.launches for rest in launch.rests))
+
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Provenance:

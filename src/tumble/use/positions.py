@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +73,7 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
         )
 
     # variance of a row without the scatter: that of a row of the calibration's table, or of the mean over a rest
-    recorded = chain(calibration.evidence.rests, *(launch.rests for launch in calibration.evidence.launches))
+    recorded = calibration.evidence.all_rests
     rests = [(np.array(r.accel.noise), r.stop - r.start) for r in recorded if r.accel is not None]
     variance = np.array(meaning.row_u) ** 2 if meaning.row_u else np.zeros(3)
     if rests and not meaning.row_u:

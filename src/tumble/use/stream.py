@@ -215,7 +215,7 @@ class StreamCheck:
 def _white_noise(calibration: Calibration) -> dict[str, Array]:
     """Return the white noise density (n,) of "accel" and "gyro" in the rests of a calibration, SI/√Hz."""
     by_kind = {
-        kind: [sensors.noise for rest in calibration.evidence.rests if (sensors := getattr(rest, kind)) is not None]
+        kind: [sensors.noise for rest in calibration.evidence.all_rests if (sensors := getattr(rest, kind)) is not None]
         for kind in ("accel", "gyro")
     }
     return {kind: np.sqrt(np.mean(np.square(noise), axis=0)) for kind, noise in by_kind.items() if noise}
