@@ -193,7 +193,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
         (["simulate"], "Missing argument 'FOLDER'"),
         (["simulate", ""], "expected a path, found an empty one"),
         (["simulate", "few", *QUICK], "few: expected a new folder, found a session in it"),
-        (["simulate", "few/log.parquet", *QUICK], "log.parquet: expected a folder to write to, found: Not a directory"),
+        (["simulate", "few/log.parquet", *QUICK], "log.parquet: expected a folder to write to, found: File exists"),
         (["simulate", "few/log.parquet/x", *QUICK], "expected a folder to write to, found: Not a directory"),
         (["simulate", "new", "--grade", "navigatoin"], "found 'navigatoin'; did you mean 'navigation'?"),
         (["simulate", "new", "--grade", "tactial"], "did you mean 'tactical'?"),
