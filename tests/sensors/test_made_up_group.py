@@ -17,7 +17,7 @@ from tumble.planning.setup import Setup
 from tumble.result.calibration import read_calibration
 from tumble.run.calibrate import calibrate
 from tumble.sensors import parameters
-from tumble.sensors.model import Block
+from tumble.sensors.model import Block, SensorKind
 from tumble.sensors.parameters import FUNCTIONS, PAIRS, PRODUCTS, ParameterGroup, group_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.recording import record
@@ -45,33 +45,33 @@ def by_square(axis: int) -> Callable[[Block], Array]:
     return regressors
 
 
+def group_by_square(
+    name: str, kind: SensorKind, unit: str, words: str, axis: int, limit: float, size: float
+) -> ParameterGroup:
+    """A group of sensors by the square of the force along an axis, of the same usual size in every grade."""
+    return ParameterGroup(
+        name=name,
+        kind=kind,
+        unit=unit,
+        words=words,
+        suffixes=lambda block: block.sensors,
+        limit=limit,
+        usual=dict.fromkeys(("navigation", "tactical", "mems", "consumer"), size),
+        regressors=by_square(axis),
+    )
+
+
 def g_squared(size: float) -> ParameterGroup:
     """The sensitivity of gyros to the square of the force along Z."""
-    return ParameterGroup(
-        name="gyro.g2",
-        kind="gyro",
-        unit="rad s^3/m^2",
-        words="gyros by the square of the force along Z",
-        suffixes=lambda block: block.sensors,
-        limit=1e-3,
-        usual=dict.fromkeys(("navigation", "tactical", "mems", "consumer"), size),
-        regressors=by_square(2),
-    )
+    words = "gyros by the square of the force along Z"
+    return group_by_square("gyro.g2", "gyro", "rad s^3/m^2", words, 2, 1e-3, size)
 
 
 @pytest.fixture(autouse=True)
 def made_up(monkeypatch: pytest.MonkeyPatch) -> ParameterGroup:
     """The group, in the table while a test runs."""
-    group = ParameterGroup(
-        name=NAME,
-        kind="accel",
-        unit="s^2/m",
-        words="accelerometers by the square of the force along X",
-        suffixes=lambda block: block.sensors,
-        limit=1e-2,
-        usual=dict.fromkeys(("navigation", "tactical", "mems", "consumer"), SIZE),
-        regressors=by_square(0),
-    )
+    words = "accelerometers by the square of the force along X"
+    group = group_by_square(NAME, "accel", "s^2/m", words, 0, 1e-2, SIZE)
     monkeypatch.setattr(parameters, "FURTHER", [*parameters.FURTHER, group])
     return group
 

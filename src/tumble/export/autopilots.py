@@ -31,6 +31,7 @@ from scipy.linalg import polar
 from tumble.errors import InputError
 from tumble.export.exported import MAGNETOMETER, Exported, example_line, in_units, notes_of, origin, shown, triads
 from tumble.export.templates import front_of, render_layout
+from tumble.reduction.rests.warming import LEAST_CHANGE
 from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
@@ -39,7 +40,6 @@ from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import OVER_TEMPERATURE, group_name
 from tumble.units import DEGREE, TESLA, Array
 
-LEAST_CHANGE = 1.0  # K, over which a slope is more than a drift in time
 MIN_CHANGE = 0.01  # offsets (m/s², rad/s) and changes of scale below this are ignored by some releases of PX4
 _HELD = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") for t in OVER_TEMPERATURE)
 """Groups of parameters in the targets over temperature."""

@@ -47,6 +47,7 @@ from tumble.recording.session import Session
 from tumble.reduction.observations import Observations, one_direction
 from tumble.reduction.rests.segmentation import find_rests
 from tumble.reduction.rests.thermometer_errors import with_thermometer_errors
+from tumble.reduction.rests.warming import LEAST_CHANGE
 from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration
@@ -85,7 +86,6 @@ from tumble.sensors.parameters import (
 from tumble.units import ZERO_CELSIUS, Array
 
 PARTS = 40  # of a rest; shorter parts do not improve the in-run process and the lag
-LEAST_CHANGE = 1.0  # K, least change of temperature that determines coefficients
 HELD = 1e-7  # prior of scale factors and axis angles without a calibration, much smaller than relative errors of slopes
 FEWEST_DEGREES = 4.0  # degrees of freedom of the variance that a lag adds
 CREEP = 1e-6  # rad/√s, random walk of the attitude of a device on a table, 12″ in an hour

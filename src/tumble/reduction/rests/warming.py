@@ -21,6 +21,7 @@ from tumble.units import Array, IntArray
 
 WARMED = 0.1  # K: if no rest changes by more, nothing is subtracted
 OVER_TEMPERATURE = 10.0  # K: if the rests span less, no lag is fitted
+LEAST_CHANGE = 1.0  # K: over less, a drift in time looks like a slope over temperature
 LAGS = np.array([-200.0, -100.0, -50.0, -25.0, 0.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0])  # s
 REFINEMENTS, REFINED_LAGS = 4, 7  # number of refinements of the best lag, and of lags tried in each
 
