@@ -9,27 +9,28 @@ groups c, into which many sizes S = λ s are folded by small matrices,
 
 Groups on which the session has no information keep their usual sizes.
 
-Proposal: a Gaussian copula, φ_i = F_i⁻¹(N(z_i)), where z has correlations from the average information. For a
-variance v, the gradient gives tr PD and rᵀPDPr at the maximum and the average information rᵀPDPDPr; the density of F_i
-has the same three,
+Proposal: a Gaussian copula, φ_i = F_i⁻¹(N(z_i)), where z has correlations from the average information. Let r be the
+residuals, V their covariance, P the inverse of V with all unknowns eliminated, D = ∂V/∂v for a variance v, and
+ρ = v/v̂ its ratio to that at the maximum of ℓ, the logarithm of the posterior of φ. The density f_i of F_i is
 
-    ln f = ln p(φ) − ½ ν ln(u + w) − ½ s/(u + w),   w = v/v̂
-    1/(u + 1) = v̂ rᵀPDPDPr/rᵀPDPr,   ν = v̂ tr PD (u + 1),   s = v̂ rᵀPDPr (u + 1)²
+    ln f = ln p(φ) − ½ ν ln(a + ρ) − ½ κ/(a + ρ)
+    1/(a + 1) = v̂ rᵀPDPDPr/rᵀPDPr,   ν = v̂ tr PD (a + 1),   κ = v̂ rᵀPDPr (a + 1)²
 
-For a correlation time it is ℓ along the time through the maximum, mixed with the prior, at constant variance of the
-in-run bias within the session. For a slowly changing bias, a session of length T observes only the variance
+which has the gradient and the average information of ℓ at the maximum. The likelihood in it is stretched about the
+maximum by the root of the ratio of the standard deviations of φ_i with other elements free and held. Of a slowly
+changing bias a session of length T observes only the variance about its mean,
 
     σ_b² (1 − 2 (x − 1 + e^{−x})/x²),   x = T/τ
 
-about its mean, and the density along σ_b at a time τ is that with an equal w. The likelihood in F_i is stretched about
-the maximum by the root of the ratio of the standard deviations of φ_i with other elements free and held. For a size of
-a group the density is ℓ along it through the maximum; of λ = exp(max(p, 0)), half of the density is the prior of p < 0.
+and f along σ_b at a time τ is that with an equal ρ of this variance. For a correlation time the density is ℓ along the
+time through the maximum, at constant variance within the session, mixed with the prior. For a size of a group it is ℓ
+along it through the maximum; of λ = exp(max(p, 0)), half of the density is the prior of p < 0.
 
 The points z are two fixed low-discrepancy sequences, each transformed to have exactly the mean and covariance of the
 normal distribution, so that a result is reproducible to the last digit. The weights w ∝ e^ℓ/q of the points of ψ, each
-summed over its sizes, are Pareto smoothed (Vehtari et al. 2024). With the step m and covariance V at each draw
+summed over its sizes, are Pareto smoothed (Vehtari et al. 2024). With the step m and its covariance Ω at each draw
 
-    x̄ = Σ w m,    C = Σ w (V + m mᵀ) − x̄ x̄ᵀ
+    x̄ = Σ w m,    C = Σ w (Ω + m mᵀ) − x̄ x̄ᵀ
 
 and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians divided by its u. u is
 limited to half of that half width, which few far points do not affect. Half the difference between the results of the
@@ -87,7 +88,7 @@ MOST_PARAMETERS = 200  # limit for integration: a point of a larger array costs 
 FIRST_POINTS = 32  # points of ψ in the first round, of both sequences; twice as many without sizes of groups
 SPARE_POINTS = 3  # least number of points of a sequence beyond the elements of ψ, for a covariance of full rank
 ROUND_POINTS, GROWTH = 24, 1.0 / 3.0  # least number of points in a further round, relative to those so far
-MOST_POINTS = 850  # points of a sequence from which no round follows
+MOST_POINTS = 850  # points of a sequence after which no further round is drawn
 SIZES = 16  # sizes of groups folded into the triangle of each point
 LARGEST_ERROR = 0.1  # sampling error, in u, above which more points are taken, and finally reported
 # Fewer points may agree by chance: least effective number of each sequence in the first round and of both together in
@@ -302,10 +303,10 @@ class Proposal:
                 in_run[i] = times[i], density
             else:
                 densities[i] = density()
-        kept = np.full(len(hyperparameters), CORRELATED)
+        factor = np.full(len(hyperparameters), CORRELATED)
         for i in (element for element in outer if hyperparameters[element].bounded):
-            kept[i] = 1.0 - np.interp(0.0, densities[i].phi, densities[i].cumulative)
-        correlations *= np.outer(kept, kept)
+            factor[i] = 1.0 - np.interp(0.0, densities[i].phi, densities[i].cumulative)
+        correlations *= np.outer(factor, factor)
         np.fill_diagonal(correlations, 1.0)
         return Proposal(
             outer=np.array(outer, dtype=int),
@@ -371,12 +372,12 @@ def _variance_density(
     is exp(shift) times that at the maximum."""
     square, trace = max(forms[0], 1e-6), max(forms[1], 1e-6)
     informed = curvature - float(h.log_prior(np.array(phi))[2])
-    share = float(np.clip(informed / (2.0 * square), 1e-3, 1.0 - 1e-6))  # 1/(u + 1)
+    share = float(np.clip(informed / (2.0 * square), 1e-3, 1.0 - 1e-6))  # 1/(a + 1)
     half = REACH * float(np.clip(stretch * curvature**-0.5, 0.5, 1.5))
     grid = np.linspace(min(-3.0 * h.within, phi - half) if h.bounded else phi - half, phi + half, GRID)
     above = np.maximum(grid, 0.0) - max(phi, 0.0) if h.bounded else grid - phi
-    w = 1.0 / share - 1.0 + np.exp(2.0 * (above + np.asarray(shift)[..., None]) / stretch)
-    likelihood = -0.5 * trace / share * np.log(w) - 0.5 * square / share**2 / w
+    sum_of_a_and_rho = 1.0 / share - 1.0 + np.exp(2.0 * (above + np.asarray(shift)[..., None]) / stretch)
+    likelihood = -0.5 * trace / share * np.log(sum_of_a_and_rho) - 0.5 * square / share**2 / sum_of_a_and_rho
     return Density.of(grid, h.log_prior(grid)[0] + likelihood)
 
 
