@@ -117,7 +117,8 @@ def test_every_command_explains_itself_and_each_of_its_options(words: tuple[str,
 
 
 def test_the_version_is_that_of_the_package() -> None:
-    assert run("--version").stdout == f"tumble, version {__version__}\n"
+    for words in ((), ("calibrate",), ("registry", "add")):
+        assert run(*words, "--version").stdout == f"tumble, version {__version__}\n"
 
 
 HEAVY = ("numpy", "scipy", "polars", "pydantic", "matplotlib")
@@ -665,7 +666,7 @@ def test_results_are_printed_as_data(sessions: Path) -> None:
 def test_quiet_leaves_results_reasons_and_errors(sessions: Path) -> None:
     words = "calibrate", sessions / "one", "--terms", "linear"
     assert "written to" in run(*words).stderr
-    assert run("-q", *words).stderr == ""
+    assert run("-q", *words).stderr == run(*words, "--quiet").stderr == run("calibrate", "-q", *words[1:]).stderr == ""
     assert run("-q", *words).stdout == run(*words).stdout
     assert "not accepted: " in run("-q", "calibrate", sessions / "few").stderr
     assert run("-q", "calibrate", sessions / "none").stderr.startswith("tumble: ")
