@@ -20,7 +20,7 @@ from tumble.diagnosis import linear_model
 from tumble.diagnosis.in_motion import improves, motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
-from tumble.diagnosis.undetermined import POORLY_OBSERVABLE, one_attitude
+from tumble.diagnosis.undetermined import one_attitude
 from tumble.diagnosis.verdict import doubtful_time_base, unused_quiet_time
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
@@ -231,7 +231,6 @@ def _calibrated(
         faults = (*observed.gyro_faults, *observed.gyro_bias_faults)
         concerned = [calibration.outcome.concerns.get(reason, ("",))[0] for reason in calibration.outcome.accel.reasons]
         by_gyros = bool(concerned) and all(part.startswith("gyro") for part in concerned)
-        by_gyros &= not any(reason.startswith(POORLY_OBSERVABLE) for reason in calibration.outcome.accel.reasons)
         if by_gyros and method == "joint" and not isinstance(observations, Outcome):
             accel_result = estimate_observations(session, observations.of_accelerometers(), *options)
             if not isinstance(accel_result, Outcome):
