@@ -12,6 +12,7 @@ from tests.support.shared import session
 from tumble.drafting.made_session import session_of_log
 from tumble.drafting.new_session import Given
 from tumble.errors import InputError
+from tumble.files import in_use
 from tumble.planning.setup import Setup
 from tumble.recording.log import Log
 from tumble.recording.session_file import read_session
@@ -81,6 +82,13 @@ def test_what_a_killed_process_had_put_aside_comes_back(logs: Path, half: tuple[
     assert made(logs / "flight-1.2.csv")[0] == folder
     assert sorted(path.name for path in folder.iterdir()) == ["made.json", "notes.txt", "session.toml"]
     assert sorted(path.name for path in logs.iterdir() if path.is_dir()) == ["flight-1.2-session"]
+
+
+def test_another_log_whose_session_is_being_made_anew_is_no_hindrance(logs: Path) -> None:
+    log = (logs / "flight-1.2.csv").rename(logs / "flight.csv")
+    other, _ = made(logs / "flight-1.3.csv")
+    with in_use(other.rename(logs / f".{other.name}.0123abcd")):
+        assert made(log)[0] == logs / "flight-session"
 
 
 def test_another_log_of_the_same_name_has_another_session(logs: Path) -> None:

@@ -44,8 +44,10 @@ def session_of_log(
     for ending in (".gz", ".zst"):
         stem = stem.removesuffix(ending)
     stem = Path(stem).stem or "log"
-    _bring_back(log.parent, f"{stem}*-session")
     digest = _digest(log)
+    first, second = (log.with_name(f"{name}-session") for name in (stem, f"{stem}-{digest[:8]}"))
+    for own in (first, second):
+        _bring_back(own)
     folder = next((f for f in sorted(log.parent.glob("*-session")) if _made(f).get("log_sha256") == digest), None)
     made = {} if folder is None else _made(folder)
     former = made.get("given", {}).get("serial", stem)
@@ -71,10 +73,9 @@ def session_of_log(
             f"{former!r}; "
         )
     else:
-        folder = log.with_name(f"{stem}-session")
-        with in_use(folder, shared=True):  # it may be being made
+        with in_use(first, shared=True):  # it may be being made
             pass
-        folder = folder if not folder.exists() else log.with_name(f"{stem}-{digest[:8]}-session")
+        folder = second if first.exists() else first
     with _put_aside(folder), nothing_left(folder) as output:
         draft, faults = written_session(output, log, given, progress)
         content["session_sha256"] = _sha256(folder / SESSION_FILE)
@@ -103,14 +104,13 @@ def _put_aside(folder: Path) -> Iterator[None]:
         except BaseException:
             aside.rename(folder)
             raise
-    _bring_back(folder.parent, folder.name)
+    _bring_back(folder)
 
 
-def _bring_back(parent: Path, names: str) -> None:
-    """Move back files that were put aside: those of the user if the session was made anew, all if the process was
-    killed."""
-    for aside in parent.glob(f".{names}.*/"):
-        folder = parent / aside.name[1:].rpartition(".")[0]
+def _bring_back(folder: Path) -> None:
+    """Move back files of a folder that were put aside: those of the user if the session was made anew, all if the
+    process was killed."""
+    for aside in folder.parent.glob(f".{folder.name}.*/"):
         with in_use(aside):  # not by the process that makes the session anew
             if not _made(folder):
                 shutil.rmtree(folder, ignore_errors=True)
