@@ -21,7 +21,7 @@ from tumble.brief import Brief
 from tumble.errors import LogError, TumbleError, did_you_mean
 from tumble.recording.log_source import LogSource, first_numbers, readable
 from tumble.recording.readers import TableLog, source_of
-from tumble.recording.rows.gaps import Bridge, Gap, Grid
+from tumble.recording.rows.gaps import Bridge, Gap, Grid, seconds_of_stamps
 from tumble.recording.rows.timed import burst_grid, check_head, regular_grid, rounded_grid, rows_of
 from tumble.recording.session import LogSpec, Session
 from tumble.units import ZERO_CELSIUS, Array
@@ -188,7 +188,7 @@ def open_log(session: Session) -> Log:
         elif spec.regular:
             grids.append(regular_grid(source, spec))
         else:  # the median over the first rows; the mean over all rows for increments with rounded stamps
-            time = check_head(source, spec, head * spec.time_factor)
+            time = check_head(source, spec, seconds_of_stamps(head, spec))
             grid = Grid(start=float(time[0]), interval=float(np.median(np.diff(time))))
             rounded = rounded_grid(source, spec, grid.interval) if any(spec.increments.values()) else None
             grids.append(rounded or burst_grid(source, spec, time) or grid)

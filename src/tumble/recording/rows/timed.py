@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tumble.errors import LogError
-from tumble.recording.log_source import BLANK_LINE, Kind, LogSource, unread_error
+from tumble.recording.log_source import BLANK_LINE, Kind, LogSource, Unread, unread_error
 from tumble.recording.rows.gaps import (
     GAP_STEP,
     LEFT_OUT_FREE,
@@ -37,6 +37,7 @@ from tumble.recording.rows.gaps import (
     LogRows,
     check_time,
     is_reading,
+    seconds_of_stamps,
     runs_backwards,
     side_by_side,
 )
@@ -119,7 +120,7 @@ def rows_of(
     first = 1
     for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):
         numbers = np.arange(first, first + table.height)
-        time = table[spec.time].to_numpy() * spec.time_factor if spec.time is not None else np.empty(table.height)
+        time = np.empty(table.height) if spec.time is None else seconds_of_stamps(table[spec.time].to_numpy(), spec)
         values = tuple(side_by_side(table, group) for group in groups)
         yield timed.feed(LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread}))
         first += table.height
@@ -158,6 +159,11 @@ class _TimedRows:
         counted = self.on_grid and not self.grid.rounded  # stamps are ignored
         untimed = (None, self.spec.time) if not counted else ()
         faults = [u for u in rows.unread.values() if u.kind in (Kind.NO_ROW, Kind.CUT) or u.column in untimed]
+        if not counted and not is_reading(rows.time).all():
+            known = {u.row for u in faults}
+            without = (row for row in rows.numbers[~is_reading(rows.time)].tolist() if row not in known)
+            faults += [Unread(row=row, column=self.spec.time, found="", kind=Kind.TEXT) for row in without]
+            faults.sort(key=lambda u: u.row)
         if faults:
             is_row = np.ones(len(rows.numbers), dtype=bool)
             is_row[np.array([u.row for u in faults]) - rows.numbers[0]] = False
@@ -363,7 +369,7 @@ def _stamps(source: LogSource, spec: LogSpec) -> Array:
     for table, unread in source.tables([spec.time], spec.time if spec.clock else None):
         is_row = np.ones(table.height, dtype=bool)
         is_row[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
-        parts.append(table[spec.time].to_numpy()[is_row] * spec.time_factor)
+        parts.append(seconds_of_stamps(table[spec.time].to_numpy()[is_row], spec))
         first += table.height
     stamps = np.concatenate(parts)
     return past_midnight(stamps) if spec.clock else stamps
