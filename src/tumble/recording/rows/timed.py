@@ -37,8 +37,8 @@ from tumble.recording.rows.gaps import (
     LogRows,
     check_time,
     is_reading,
-    seconds_of_stamps,
     runs_backwards,
+    seconds_of_stamps,
     side_by_side,
 )
 from tumble.recording.session import LogSpec
