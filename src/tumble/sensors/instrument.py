@@ -13,6 +13,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from tumble.errors import InputError
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import (
     CONSTANT,
@@ -190,7 +191,13 @@ class Instrument:
         for group in self.further:
             if group.regressors is not None:
                 block = self.block(group)
-                out[self.rows(block), :, self.members[group.name]] = group.regressors(block)
+                regressors = group.regressors(block)
+                if group.kind == "accel" and np.any(regressors[:, RATE]):  # a correction has the force before the rate
+                    raise InputError(
+                        "entry point tumble.parameters: expected a group of accelerometers without terms in the rate, "
+                        f"which no correction could remove, found them in {group.name!r}; leave them out in its package"
+                    )
+                out[self.rows(block), :, self.members[group.name]] = regressors
         return out
 
     @cached_property
