@@ -94,8 +94,8 @@ def first_sentence(docstring: str) -> str:
 
 
 class _Commands(click.Group):
-    """Group of commands that take its options too. Errors are one line on standard error: exit status 2, or 70 for errors
-    of the program."""
+    """Group of commands that take its options too. Errors are one line on standard error: exit status 2, or 70 for
+    errors of the program."""
 
     def __call__(self, *args: Any, **extra: Any) -> Any:
         try:
