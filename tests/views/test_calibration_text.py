@@ -365,6 +365,27 @@ def test_what_was_assumed_of_the_log_is_said_once_where_the_result_is_read(full:
     assert doubt in with_fields(full, assumptions=(doubt,)).table()
 
 
+def test_remarks_are_in_the_order_of_their_harm(full: Calibration) -> None:
+    """What is unexplained, then turns that were lost, then what u does not contain, then what it does."""
+    assumed = (
+        "the height is not stated: 4 mm/s² are in u of accel.scale",
+        "the time base is not stated: 30 ppm, usual for time stamps of a crystal, is in u of gyro.scale",
+        "beyond these temperatures the result is hardly valid",
+    )
+    made = with_fields(full, assumptions=assumed, outcome=Outcome(remarks=("the residuals are large",)))
+    lost = tuple(f"turn from rest {i} to rest {i + 1} is left out: samples are lost in it" for i in range(1, 5))
+    for notes, said in (((), "the residuals are large"), (lost, f"{lost[0]} (and 3 more)"), (lost[:1], lost[0])):
+        made = with_fields(made, notes=notes)
+        lines = [line for line in lines_of(calibration_blocks(made)) if line.startswith("remark: ")]
+        assert f"remark: {said}" in lines
+        every = [line.removeprefix("remark: ") for line in lines_of(calibration_blocks(made, every=True))]
+        order = [every.index(line) for line in ("the residuals are large", assumed[2], assumed[0], assumed[1])]
+        assert order == sorted(order)
+    made = with_fields(made, outcome=Outcome(remarks=("one", "two", "three")))
+    lines = [line for line in lines_of(calibration_blocks(made)) if line.startswith("remark: ")]
+    assert lines == ["remark: one", "remark: two", f"remark: {lost[0]}"]
+
+
 def test_of_a_refused_session_no_numbers_are_printed_and_the_next_command_looks_at_it(full: Calibration) -> None:
     lines = lines_of(calibration_blocks(replace(full, outcome=Outcome(reasons=("it moved",)))))
     assert lines[1] == "not accepted"

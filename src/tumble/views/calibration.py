@@ -192,22 +192,27 @@ def remarks_of(calibration: Calibration) -> tuple[str, ...]:
     assumptions on log and place, and biases decided by priors."""
     decided, origin = decided_by_priors(calibration), calibration.provenance
     others = [sentence for sentence in origin.assumptions if sentence not in origin.doubts]
-    others.sort(key=lambda sentence: "usual for time stamps" in sentence)  # some ppm, the least harmful
+    # what u contains is less harmful, some ppm of time stamps the least
+    others.sort(key=lambda sentence: (" in u of " in sentence) + ("usual for time stamps" in sentence))
     if not accepted_kinds(calibration):  # only a misread log may be the cause
         others = []
     return (*origin.doubts, *calibration.outcome.remarks, *others, *([decided] if decided is not None else []))
 
 
 def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
-    """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, and a line on the others."""
-    notes, shown = calibration.provenance.notes, list[str]()
-    lost = [note for note in notes if note.startswith("turn ") and " is left out" in note]
-    remarks = (*remarks_of(calibration), *lost)
+    """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, and a line on the others.
+
+    Turns that were left out are in u, so they come after doubts and unexplained residuals and before assumptions."""
+    notes, shown, remarks = calibration.provenance.notes, list[str](), [*remarks_of(calibration)]
+    if lost := [note for note in notes if note.startswith("turn ") and " is left out" in note]:
+        place = len(calibration.provenance.doubts) + len(calibration.outcome.remarks)
+        more = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
+        remarks.insert(min(place, MAX_REMARKS - 1), lost[0] + more)
     for remark in remarks[:MAX_REMARKS]:
         if shown and len(text_of([Items(items=(*shown, f"remark: {remark}"))], WIDTH).splitlines()) > max_lines:
             break
         shown.append(f"remark: {remark}")
-    hidden = {"remark": len(remarks) - len(shown), "note": len(notes) - len(lost)}
+    hidden = {"remark": len(remarks) - len(shown), "note": len(notes) - (len(lost) == 1)}
     counted = [f"{count} {what}{'s' * (count > 1)}" for what, count in hidden.items() if count]
     return [*shown, f"more with --all: {', '.join([*counted, 'all tables'])}"]
 
