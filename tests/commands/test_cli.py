@@ -698,6 +698,17 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     )
 
 
+def test_who_wrote_no_session_toml_is_told_where_its_tables_are(sessions: Path) -> None:
+    log = shutil.copy(sessions / "one" / "log.parquet", sessions / "log.parquet")
+    done = run("calibrate", log, "--latitude", 50)
+    assert "in [log], 0 where it is exact" in done.stdout
+    assert f"; […] is a table of {sessions / 'log-session'}/session.toml" in " ".join(done.stdout.split())
+    shutil.rmtree(sessions / "log-session")
+    said = refused("calibrate", log, "--latitude", 50, "--frame", "case", below=sessions)  # and not that it is kept
+    assert "[programme]" in said
+    assert said.endswith("; […] is a table of a session.toml, which `tumble new SESSION LOG` writes")
+
+
 def test_a_stated_rate_that_contradicts_the_times_is_taken_and_said(sessions: Path) -> None:
     """The recording has 50 samples per second."""
     log, shown = shutil.copy(sessions / "one/log.parquet", sessions / "mine.parquet"), []

@@ -227,7 +227,7 @@ def test_a_line_for_each_further_group(full: Calibration) -> None:
     whole = lines_of(calibration_blocks(full, every=True), 100)
     groups = next(i for i, line in enumerate(whole) if line.startswith("group "))
     said = {line.split()[0]: line.split()[1:] for line in whole[groups:] if line.strip()}
-    assert said["accel.quadratic"] == ["61", "88", "µg/g²", "4–99", "%", "prior", "widened", "3×"]
+    assert said["accel.quadratic"] == ["61", "88", "µg/g²", "4–99", "%", "3", "times", "the", "usual", "size"]
     assert said["accel.delay"] == ["2.000", "0.050", "ms", "100", "%"]
     assert said["gyro.asymmetry"] == ["not", "determined"]
     of_parameters = {line.split()[0]: line.split()[1:] for line in whole[:groups] if line.strip()}
@@ -298,12 +298,12 @@ def test_groups_of_refused_sensors_that_are_accepted_are_named_in_the_terminal_t
 
 def test_a_calibration_shows_priors_and_what_was_learned(full: Calibration) -> None:
     lines = {line.split()[0]: line.split() for line in full.table().splitlines()[1:] if line}
-    assert lines["parameter"][-3:] == ["dof", "prior", "learned"]
+    assert lines["parameter"][-4:] == ["dof", "prior", "from", "data"]
     assert lines["accel.delay"][-4:] == ["6", "5", "100", "%"]
     u, k, expanded = (float(lines["accel.delay"][column]) for column in (2, 3, 4))
     assert k == pytest.approx(full["accel.delay"].k, abs=0.005)
     assert expanded == pytest.approx((full["accel.delay"].k or 0.0) * u, rel=0.05)
-    assert "<th>learned</th>" in full._repr_html_()
+    assert "<th>from data</th>" in full._repr_html_()
     frame = full.to_polars()
     assert frame["learned"].to_list()[-4:] == [0.99, 0.04, 0.9999, 0.5]
     assert frame["k"].to_list() == [p.k for p in full.parameters]

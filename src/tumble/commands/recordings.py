@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble.commands import console, params
-from tumble.errors import GyrosAloneError, InputError
+from tumble.errors import GyrosAloneError, InputError, tables_at
 
 if TYPE_CHECKING:
     from tumble.drafting.draft import Draft
@@ -80,8 +80,12 @@ def session_folders(
                 console.say(sentence)
         for fault in faults:
             console.warn(f"look at this: {fault}")
+        try:
+            yield [folder]
+        except InputError as error:
+            end = tables_at("a session.toml, which `tumble new SESSION LOG` writes", error.for_command_line)
+            raise type(error)(error.for_command_line + end) from error
         console.say(state)
-        yield [folder]
 
 
 def check_recordings(recordings: Sequence[Path]) -> None:
