@@ -698,6 +698,17 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     )
 
 
+def test_a_recording_that_is_there_twice_is_refused(sessions: Path) -> None:
+    """Which would make u too small; as a folder of a log and a copy of it."""
+    (sessions / "logs").mkdir()
+    for name in ("a", "b"):
+        shutil.copy(sessions / "one" / "log.parquet", sessions / "logs" / f"{name}.parquet")
+    said = refused("calibrate", sessions / "logs", "--latitude", 50, below=sessions)
+    assert "b.parquet: holds the same recording as" in said
+    said = refused("calibrate", sessions / "logs" / "a.parquet", 50, below=sessions)
+    assert said == "50: expected a session or a log, found no such file or folder"
+
+
 def test_who_wrote_no_session_toml_is_told_where_its_tables_are(sessions: Path) -> None:
     log = shutil.copy(sessions / "one" / "log.parquet", sessions / "log.parquet")
     done = run("calibrate", log, "--latitude", 50)

@@ -100,6 +100,21 @@ def test_another_log_of_the_same_name_has_another_session(logs: Path) -> None:
     assert len(list(logs.glob("*-session"))) == 2
 
 
+def test_no_statement_leaves_what_was_stated_and_the_result(logs: Path) -> None:
+    folder, _ = made(logs / "flight-1.2.csv", replace(GIVEN, accel=("ax", "ay", "az")))
+    (folder / "calibration.json").write_text("{}", encoding="utf-8")
+    assert made(logs / "flight-1.2.csv", Given())[1].endswith(": the session made of this log before")
+    assert "latitude_deg = 50.0" in (folder / "session.toml").read_text(encoding="utf-8")
+    assert (folder / "calibration.json").exists()
+
+
+def test_a_pattern_makes_no_folder_that_is_hidden_or_like_an_option(logs: Path) -> None:
+    assert made(logs / "*.2.csv")[0].name == "2-session"
+    assert made(logs / "*-1.3.csv")[0].name == "1.3-session"
+    (logs / "flight-1.3.csv").unlink()
+    assert made(logs / "*.csv", Given(latitude=40.0))[0].name == "2-session"
+
+
 def test_other_statements_make_it_anew_and_keep_what_was_put_there(logs: Path) -> None:
     folder, _ = made(logs / "flight-1.2.csv")
     (folder / "notes.txt").write_text("mine", encoding="utf-8")

@@ -96,6 +96,8 @@ def check_recordings(recordings: Sequence[Path]) -> None:
                 if re.match(rb'\s*\{\s*"format"', file.read(100)):
                     raise InputError(f"{path}: expected a session or a log, found a calibration file")
     if len(recordings) > 1 and (log := next(filter(is_log, recordings), None)) is not None:
+        if (missing := next((path for path in recordings if not path.exists() and not is_log(path)), None)) is not None:
+            raise InputError(f"{missing}: expected a session or a log, found no such file or folder")
         raise InputError(
             f"{log}: expected one log, or sessions, found a log among {len(recordings)} arguments; positions of one "
             "recording: `tumble calibrate 'PATTERN'`, in quotes, or `tumble new SESSION FILE …`; else a session of each"

@@ -1,8 +1,8 @@
 """The session that `calibrate LOG` makes beside a log, and reuses if the content of the log is the same.
 
 `made.json` in the session's folder has the hash of the log, the stated options, the version, and the files made. The
-same log with the same options has the same session, with any corrections by hand; a renamed log keeps the serial number
-of its first name unless one is stated. With other options the session is made anew, unless it was corrected by hand.
+same log with the same options, or none, has the same session, with any corrections by hand; a renamed log keeps the
+serial number of its first name unless one is stated. With other options the session is made anew, unless it was corrected by hand.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def session_of_log(
     stem = re.sub(r"[*?\[\]]", "", log.name)
     for ending in (".gz", ".zst"):
         stem = stem.removesuffix(ending)
-    stem = Path(stem).stem or "log"
+    stem = Path(f"_{stem}").stem[1:].lstrip("-. ") or "log"  # neither hidden nor like an option
     digest = _digest(log)
     first, second = (log.with_name(f"{name}-session") for name in (stem, f"{stem}-{digest[:8]}"))
     for own in (first, second):
@@ -53,6 +53,8 @@ def session_of_log(
     former = made.get("given", {}).get("serial", stem)
     default = former if folder is not None and folder.name.startswith(f"{former}-") else stem
     whose = "" if given.serial or default == stem else f" (serial number {default!r})"
+    if given == Given():  # what was stated before holds
+        given = Given(**{key: value for key, value in made.get("given", {}).items() if key in asdict(given)})
     given = replace(given, serial=given.serial or default)
     stated, origin = {key: value for key, value in asdict(given).items() if value}, ""
     content = {"log_sha256": digest, "given": json.loads(json.dumps(stated)), "version": __version__}

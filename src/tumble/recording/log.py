@@ -7,11 +7,12 @@ and row numbers for messages (`rows.timed`). Short gaps are bridged (`rows.gaps`
 from __future__ import annotations
 
 import datetime as dt
+import filecmp
 import hashlib
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -169,6 +170,9 @@ def open_log(session: Session) -> Log:
         )
     spec, heads = session.log, list[Array]()
     sources = tuple(source_of(file, spec.dialect) for file in spec.files)
+    for one, other in combinations([file for file in spec.files if isinstance(file, Path)], 2):
+        if one.stat().st_size == other.stat().st_size and filecmp.cmp(one, other, shallow=False):
+            raise LogError(f"{other}: holds the same recording as {one}; name every recording once")
     for source, column in product(sources, spec.columns):
         if column not in source.names:
             shown = ", ".join(source.names[:12]) + (", …" if len(source.names) > 12 else "")
