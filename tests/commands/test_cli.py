@@ -698,6 +698,16 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     )
 
 
+def test_a_stream_is_no_path(sessions: Path) -> None:
+    made = run("calibrate", sessions / "one", "--quiet").exit_code
+    assert made == 0
+    for words in (("export", sessions / "one" / "calibration.json", "--to", "px4", "-o", "-"), ("calibrate", "-")):
+        assert "expected a path, found '-', and no stream is read or written" in refused(*words, below=sessions)
+    assert "did you mean 'px4'?" in refused(
+        "export", sessions / "one" / "calibration.json", "--to", "PX4", "-o", sessions / "x", below=sessions
+    )
+
+
 def test_a_recording_that_is_there_twice_is_refused(sessions: Path) -> None:
     """Which would make u too small; as a folder of a log and a copy of it."""
     (sessions / "logs").mkdir()

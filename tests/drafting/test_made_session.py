@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,7 +31,7 @@ def logs(tmp_path: Path) -> Path:
 
 
 def made(log: Path, given: Given = GIVEN) -> tuple[Path, str]:
-    with session_of_log(log, given, Log.chunks) as (folder, state, _, _):
+    with session_of_log(log, given, Log.chunks) as (folder, state, _):
         return folder, state
 
 
@@ -106,6 +107,14 @@ def test_no_statement_leaves_what_was_stated_and_the_result(logs: Path) -> None:
     assert made(logs / "flight-1.2.csv", Given())[1].endswith(": the session made of this log before")
     assert "latitude_deg = 50.0" in (folder / "session.toml").read_text(encoding="utf-8")
     assert (folder / "calibration.json").exists()
+
+
+def test_a_log_in_a_folder_that_is_read_only_is_refused_with_the_way_out(
+    logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write anywhere
+    with pytest.raises(InputError, match=r"read-only; copy the log, or make a session elsewhere: tumble new SESSION "):
+        made(logs / "flight-1.2.csv")
 
 
 def test_a_pattern_makes_no_folder_that_is_hidden_or_like_an_option(logs: Path) -> None:

@@ -74,12 +74,10 @@ def session_folders(
         )
     from tumble.drafting.made_session import session_of_log
 
-    with session_of_log(first, params.given_of(options), console.with_progress) as (folder, state, sentences, faults):
+    with session_of_log(first, params.given_of(options), console.with_progress) as (folder, state, sentences):
         for sentence in sentences:
             if every or _ALWAYS_PRINTED.search(sentence):
                 console.say(sentence)
-        for fault in faults:
-            console.warn(f"look at this: {fault}")
         try:
             yield [folder]
         except InputError as error:

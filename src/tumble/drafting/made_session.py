@@ -2,13 +2,15 @@
 
 `made.json` in the session's folder has the hash of the log, the stated options, the version, and the files made. The
 same log with the same options, or none, has the same session, with any corrections by hand; a renamed log keeps the
-serial number of its first name unless one is stated. With other options the session is made anew, unless it was corrected by hand.
+serial number of its first name unless one is stated. With other options the session is made anew, unless it was
+corrected by hand.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import secrets
 import shutil
@@ -32,10 +34,8 @@ _RESULT = "calibration.json"
 
 
 @contextmanager
-def session_of_log(
-    log: Path, given: Given, progress: Progress
-) -> Iterator[tuple[Path, str, Sequence[str], Sequence[str]]]:
-    """Yield the folder of the session of a log, its origin in words, remarks on each part, and faults.
+def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tuple[Path, str, Sequence[str]]]:
+    """Yield the folder of the session of a log, its origin in words, and remarks on each part.
 
     A session that is made here is removed, or the former one put back, if the block fails. Raises InputError for a log
     that cannot be read, and if a session corrected by hand would be made anew."""
@@ -63,7 +63,7 @@ def session_of_log(
         if made.get("given") == content["given"] and (edited or made.get("version") == __version__):
             by_hand = ", corrected by hand" if edited else ""
             with in_use(folder, shared=True):
-                yield folder, f"{folder / SESSION_FILE}: the session made of this log before{whose}{by_hand}", [], []
+                yield folder, f"{folder / SESSION_FILE}: the session made of this log before{whose}{by_hand}", []
             return
         if edited:
             raise InputError(
@@ -78,8 +78,13 @@ def session_of_log(
         with in_use(first, shared=True):  # it may be being made
             pass
         folder = second if first.exists() else first
+        if not os.access(log.parent, os.W_OK):
+            raise InputError(
+                f"{folder}: expected a folder that can be made, found {log.parent} read-only; copy the log, or make a "
+                f"session elsewhere: tumble new SESSION {log}"
+            )
     with _put_aside(folder), nothing_left(folder) as output:
-        draft, faults = written_session(output, log, given, progress)
+        draft, _ = written_session(output, log, given, progress)
         content["session_sha256"] = _sha256(folder / SESSION_FILE)
         content["files"] = [file.name for file in output.written]
         with whole_file(output.new_file(MADE)) as temporary:
@@ -87,7 +92,7 @@ def session_of_log(
         origin += f"kept in {folder / SESSION_FILE}"
         if draft.magnetometer is not None:
             origin += ", where the magnetometer is commented out: remove the # to calibrate it too"
-        yield folder, origin, draft.remarks, faults
+        yield folder, origin, draft.remarks
 
 
 @contextmanager

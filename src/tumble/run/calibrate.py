@@ -137,7 +137,7 @@ def calibrate(
     <Calibration of A-0007: joint, 51 parameters, accepted>
     """
     if terms not in get_args(Terms):
-        raise InputError(f"terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")
+        raise InputError(f"--terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")
     rates = arrays.get("gyro")
     if session is None and arrays.get("accel") is None and rates is not None:
         from tumble.run.gyros_alone import calibrate_gyros, gyro_rests
@@ -155,17 +155,17 @@ def calibrate(
     recording, stated = recording.without(without).of_known_scales(), recording
     methods: dict[str, Callable[..., Estimate]] = {**METHODS, **ITERATED_METHODS}
     if method not in methods:
-        raise InputError(f"method: expected one of {', '.join(methods)}, found {method!r}")
+        raise InputError(f"--method: expected one of {', '.join(methods)}, found {method!r}")
     if iterations is not None and method not in ITERATED_METHODS:
         raise InputError(
-            f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
+            f"--iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
             f"{iterations}; only {', '.join(ITERATED_METHODS)} take a number"
         )
     estimator: Estimator = methods[method] if iterations is None else partial(methods[method], iterations=iterations)
     if prior is not None and (method != "joint" or terms != "full"):
         raise InputError("prior: expected the method joint with all terms, which takes one, found another")
     if base is not None and (method != "joint" or terms != "full" or prior is not None or frame != "accelerometer"):
-        raise InputError("base: expected the method joint with all terms, no prior and no frame, found others")
+        raise InputError("--base: expected the method joint with all terms, no prior and no frame, found others")
     if frame != "accelerometer":
         Convention(frame=frame, block=recording.accel_block)
     base_calibration = None if base is None else calibration_from(base)
