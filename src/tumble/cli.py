@@ -144,12 +144,10 @@ class _Commands(click.Group):
                 raise
             if command is None:
                 return None
-            parts = getattr(command, "commands", {}).values()
-            for part in parts:
+            for part in (command, *getattr(command, "commands", {}).values()):
                 part.short_help = first_sentence(part.help or "")
-            for each in (command, *parts):
-                own = {name for option in each.params for name in option.opts}
-                each.params += [option for option in self.params if own.isdisjoint(option.opts)]
+                own = {name for option in part.params for name in option.opts}
+                part.params += [option for option in self.params if own.isdisjoint(option.opts)]
             self.add_command(command, cmd_name)
         return self.commands[cmd_name]
 

@@ -46,8 +46,8 @@ def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tupl
     stem = Path(f"_{stem}").stem[1:].lstrip("-. ") or "log"  # neither hidden nor like an option
     digest = _digest(log)
     first, second = (log.with_name(f"{name}-session") for name in (stem, f"{stem}-{digest[:8]}"))
-    for own in (first, second):
-        _bring_back(own)
+    _bring_back(first)
+    _bring_back(second)
     folder = next((f for f in sorted(log.parent.glob("*-session")) if _made(f).get("log_sha256") == digest), None)
     made = {} if folder is None else _made(folder)
     former = made.get("given", {}).get("serial", stem)
@@ -79,10 +79,8 @@ def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tupl
             pass
         folder = second if first.exists() else first
         if not os.access(log.parent, os.W_OK):
-            raise InputError(
-                f"{folder}: expected a folder that can be made, found {log.parent} read-only; copy the log, or make a "
-                f"session elsewhere: tumble new SESSION {log}"
-            )
+            advice = f"copy the log, or make a session elsewhere: tumble new SESSION {log}"
+            raise InputError(f"{folder}: expected a folder that can be made, found {log.parent} read-only; {advice}")
     with _put_aside(folder), nothing_left(folder) as output:
         draft, _ = written_session(output, log, given, progress)
         content["session_sha256"] = _sha256(folder / SESSION_FILE)

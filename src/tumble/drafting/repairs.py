@@ -3,7 +3,6 @@ intervals or seconds and nanoseconds, counters that overflow, rows that are no s
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -282,4 +281,4 @@ def _drift(rows: Array) -> float:
     """Return by how much the means of the halves of rows (m, 3) differ beyond _NOISE_SIGMAS of their noise."""
     half = len(rows) // 2
     change = np.linalg.norm(rows[half:].mean(axis=0) - rows[:half].mean(axis=0))
-    return float(change - _NOISE_SIGMAS * np.linalg.norm(np.diff(rows, axis=0).std(axis=0)) / math.sqrt(len(rows) / 2))
+    return float(change - _NOISE_SIGMAS * np.linalg.norm(np.diff(rows, axis=0).std(axis=0)) / (len(rows) / 2) ** 0.5)

@@ -193,10 +193,10 @@ class Instrument:
                 block = self.block(group)
                 regressors = group.regressors(block)
                 if group.kind == "accel" and np.any(regressors[:, RATE]):  # a correction has the force before the rate
-                    raise InputError(
-                        "entry point tumble.parameters: expected a group of accelerometers without terms in the rate, "
-                        f"which no correction could remove, found them in {group.name!r}; leave them out in its package"
+                    expected = (
+                        "expected no terms in the rate, which no correction of accelerometers removes, found some"
                     )
+                    raise InputError(f"{group.name}: {expected}; leave them out in the package of the group")
                 out[self.rows(block), :, self.members[group.name]] = regressors
         return out
 

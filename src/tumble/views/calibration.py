@@ -40,6 +40,7 @@ from tumble.sensors.parameters import group_name, within_group
 from tumble.units import Array, engineering
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.numbers import (
+    FROM_DATA,
     cells,
     device_name,
     factor,
@@ -280,8 +281,6 @@ def compact_table(parameters: Sequence[Parameter]) -> Table:
 
 
 _PER_ROW = 3  # parameters
-FROM_DATA = "from data"
-"""Heading of `Parameter.learned`, by which fraction the data have reduced the variance of the prior."""
 
 
 def group_table(calibration: Calibration, *, on_page: bool = False) -> Table:

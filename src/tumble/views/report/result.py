@@ -27,15 +27,9 @@ from tumble.run.calibrate import ITERATED_METHODS
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import sensor_kind
 from tumble.views.blocks import Block, Facts, Figure, Items, Section, Table, Text, Tone, section, table
-from tumble.views.calibration import (
-    FROM_DATA,
-    MEANING_OF_INCREMENTS,
-    group_table,
-    iteration_table,
-    launch_table,
-    unknown_blocks,
-)
+from tumble.views.calibration import MEANING_OF_INCREMENTS, group_table, iteration_table, launch_table, unknown_blocks
 from tumble.views.numbers import (
+    FROM_DATA,
     NONE,
     cells,
     degrees,
