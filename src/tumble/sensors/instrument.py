@@ -193,10 +193,8 @@ class Instrument:
                 block = self.block(group)
                 regressors = group.regressors(block)
                 if group.kind == "accel" and np.any(regressors[:, RATE]):  # a correction has the force before the rate
-                    expected = (
-                        "expected no terms in the rate, which no correction of accelerometers removes, found some"
-                    )
-                    raise InputError(f"{group.name}: {expected}; leave them out in the package of the group")
+                    expected = "expected no terms in the rate, which no correction of accelerometers removes"
+                    raise InputError(f"{group.name}: {expected}, found some; leave them out in its package")
                 out[self.rows(block), :, self.members[group.name]] = regressors
         return out
 

@@ -92,9 +92,7 @@ def leaping(time: Array, before: float, step: float) -> BoolArray:
 
 def _is_late(time: Array, before: float) -> BoolArray:
     """Return which times (m,) are no later than an earlier one, or than the time `before` them."""
-    finite = np.where(is_reading(time), time, -math.inf)
-    latest = np.maximum.accumulate(np.concatenate([[before], finite]))[: len(time)]
-    return np.asarray((time <= latest) & is_reading(time))
+    return np.asarray(time <= np.maximum.accumulate(np.concatenate([[before], time]))[: len(time)])
 
 
 def rows_of(
