@@ -21,7 +21,7 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
-IN_MEMORY = "session.toml; for readings in memory give the argument of that name without unit, or use tumble.session_of"
+IN_MEMORY = "session.toml; for arrays use the argument of that name without unit, or tumble.session_of"
 _TABLE = re.compile(r"\[\[?(?:device|site|log|programme|exclude)[.\w]*\]")
 _OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
 
