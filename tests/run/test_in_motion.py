@@ -106,7 +106,9 @@ def test_a_well_known_correlation_time_needs_few_points() -> None:
     """A hand that sways slowly: its correlation time of 3 s is known to a tenth, and the first points are enough."""
     recording = record(replace(HAND, frequency=0.2), 2)
     calibration = calibrated(recording)
-    assert calibration.evidence.integral.points < 100
+    integral = calibration.evidence.integral
+    assert integral is not None
+    assert integral.points < 100
     assert np.abs(errors(recording, calibration)).max() < 6.0
 
 
