@@ -36,6 +36,7 @@ from tumble.inference.fits import (
     OUTLIER_PROBABILITY,
     OUTLIER_WEIGHTS,
     chi_square_falls,
+    left_out,
     sigmas,
     student_weights,
     weighted,
@@ -190,7 +191,10 @@ def maximise(
         about, noise = reintegrated_turns(problem, point, linearisation.about), linearisation.noise
         weights = before = noise.weights
         if robust:
-            weights = weighted(problem, noise, student_weights(chi_square_falls(solution))).weights
+            of_rows = student_weights(chi_square_falls(solution))
+            for w, out, least in zip(of_rows, left_out(problem, start.noise), OUTLIER_WEIGHTS, strict=True):
+                w[out & (w < LEAST_WEIGHT)] = least  # the scale of a Student-t distribution follows a fifth of the rows
+            weights = weighted(problem, noise, of_rows).weights
         weights_settled = all(np.all(np.abs(a**2 - b**2) < WEIGHT_CHANGE) for a, b in zip(weights, before, strict=True))
         if len(increments) >= TO_AND_FRO:  # so that two rows do not get the low weight alternately
             rest, turn, link = (np.sqrt(0.5 * (a**2 + b**2)) for a, b in zip(weights, before, strict=True))
@@ -308,18 +312,27 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
 
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
     """Return the maximum without rests and turns that are outliers; `fitted` itself if there are none."""
-    distances = np.concatenate(sigmas(fitted.solution)[: 3 if fitted.problem.magnetometer is None else 5])
-    whole = fitted.linearisation.noise.whole
+    solution, noise = fitted.solution, fitted.linearisation.noise
+    groups, before = 3 if fitted.problem.magnetometer is None else 5, left_out(fitted.problem, noise)
+    used = [distance[~out] for distance, out in zip(sigmas(solution), before, strict=True)]
+    distances = np.concatenate(used[:groups])
     p_value = 2.0 * scipy.special.ndtr(-distances.max(initial=0.0)) * len(distances)
-    if whole and (not len(distances) or p_value > OUTLIER_PROBABILITY):
+    outliers = _outliers(solution)
+    confirmed = noise.whole or all(map(np.array_equal, outliers, before))
+    if confirmed and (not len(distances) or p_value > OUTLIER_PROBABILITY):
         return fitted
     robust = maximise(fitted.linearisation, fitted.phi, iterations, robust=True)
-    outliers = [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(robust.solution))]
-    if whole and not any(group.any() for group in outliers):
+    outliers = _outliers(robust.solution)
+    if confirmed and all(map(np.array_equal, outliers, before)):
         return fitted
     weights = [np.where(group, weight, 1.0) for group, weight in zip(outliers, OUTLIER_WEIGHTS, strict=True)]
     noise = weighted(fitted.usual_problem, robust.linearisation.noise, weights)
     return maximise(replace(robust.linearisation, noise=noise), robust.phi, iterations)
+
+
+def _outliers(solution: Solution) -> list[BoolArray]:
+    """Return True, by group of `fits.Falls`, for rows so far from the fit that they are left out."""
+    return [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(solution))]
 
 
 def _bfgs_update(B: Array, step: Array, change: Array) -> Array:
