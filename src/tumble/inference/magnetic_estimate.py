@@ -33,9 +33,11 @@ from tumble.units import DEGREE, Array, BoolArray, IntArray
 
 FEWEST = 9  # stations that determine an ellipsoid
 FLAT = 1e-3  # second smallest singular value over the largest, below which the ellipsoid is not unique
-SPARE = 2  # readings beyond the fewest that must agree
+REDUNDANCY = 1.5  # equations of the fewest readings that must agree, relative to unknowns
+WIDENED = 9.0  # variance of Gaussian errors over that of the half which agrees best, after its fit
 SUBSETS, CONCENTRATIONS, REFITS = 400, 4, 12  # of a robust fit; of 12 rests with 4 near steel, 28 subsets have none
 AGREEING = 3.0  # standard deviations within which readings agree
+MOST_DISTURBED = 1.0 / 3.0  # share of disturbed readings that are left out
 NEAR = 1e-3  # standard deviation, relative to the field, that is assumed at least
 SCATTER_LIMIT = 2e-2  # scatter, relative to the field, above which the magnetometer is refused: the field varies
 NEAR_EQUATOR = 20.0 * DEGREE  # latitude below which the field may point up or down
@@ -129,12 +131,13 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     point, station = begun.point, readings.station
     attitudes = point.attitudes[station]
     found = by_attitudes(readings.values, attitudes, problem.chain[station])
-    if found is None and (ellipsoid := ellipsoid_through(readings.values)) is not None:
+    disturbed = found is not None and differs(found[2])  # or a turn is spoilt, which the joint fit finds
+    if (found is None or disturbed) and (ellipsoid := ellipsoid_through(readings.values)) is not None:
         sphere, kept = ellipsoid
         Q, sine = _orientation(unit_vector(sphere.apply(readings.values[kept])), attitudes[kept, 1])
         found = SensorModel(matrix=sphere.matrix @ Q.T, bias=sphere.bias), sine, kept
-    if found is None:
-        return start, (
+    if found is None or (disturbed and ellipsoid is None):
+        return start, differing(found[2]) if found is not None else (
             f"its {len(readings.values)} readings lie on no one ellipsoid: the attitudes are too few or too much "
             "alike, or a channel does not follow the field; record away from steel in more attitudes"
         )
@@ -157,9 +160,26 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     return replace(begun, noise=begun.noise.weighted(*_weights(problem, begun.noise, kept))), ""
 
 
+def differs(kept: BoolArray) -> bool:
+    """Return True if more readings are not kept than a robust fit can tell."""
+    return bool(np.mean(~kept) > MOST_DISTURBED)
+
+
+def differing(kept: BoolArray) -> str:
+    """Return the reason why a magnetometer cannot be used whose readings `differs`."""
+    return (
+        f"the field is not the same in {np.sum(~kept)} or more of its {len(kept)} readings, too many to tell which are "
+        "disturbed; record away from steel, with motors off"
+    )
+
+
 def _weights(problem: Problem, noise: NoiseModel, kept: BoolArray) -> tuple[Array, Array, Array]:
     """Return square roots of the weights of all rows, where the readings (K,) that are not kept are left out."""
-    N, nodes, of_readings = len(problem.observations.rests), np.ones(len(problem.before_link)), np.where(kept, 1.0, OUTLIER_WEIGHTS[-1])
+    N, nodes, of_readings = (
+        len(problem.observations.rests),
+        np.ones(len(problem.before_link)),
+        np.where(kept, 1.0, OUTLIER_WEIGHTS[-1]),
+    )
     if problem.observations.links is not None:
         nodes[problem.observations.links.magnetic] = of_readings[N:]
     turns = np.ones(len(problem.before_turn))
@@ -176,8 +196,10 @@ def by_attitudes(readings: Array, attitudes: Array, chain: IntArray) -> tuple[Se
     if 2 * longest.sum() <= len(chain) or size == 0.0:
         return None
     m, L = (readings - mean) / size, attitudes
-    rows = np.concatenate([np.einsum("kap,kq->kapq", L, m).reshape(-1, 3, 9), -L, np.broadcast_to(-np.eye(3), L.shape)], axis=2)
-    agreeing = _agreeing(rows[longest], np.eye(15)[:, 12:])
+    rows = np.concatenate(
+        [np.einsum("kap,kq->kapq", L, m).reshape(-1, 3, 9), -L, np.broadcast_to(-np.eye(3), L.shape)], axis=2
+    )
+    agreeing = _agreeing(rows[longest], np.eye(15)[:, 12:], 0.5)
     if agreeing is None:
         return None
     x, of_chain, limit = agreeing
@@ -188,7 +210,7 @@ def by_attitudes(readings: Array, attitudes: Array, chain: IntArray) -> tuple[Se
     return SensorModel(matrix=size * h * unit, bias=mean + size * unit @ x[9:12]), float(x[13] / h), kept
 
 
-def _agreeing(rows: Array, modulus: Array) -> tuple[Array, BoolArray, float] | None:
+def _agreeing(rows: Array, modulus: Array, share: float) -> tuple[Array, BoolArray, float] | None:
     """Return the unit vector x that most readings agree with, rows (K, r, c) times x being zero but for errors.
 
     Errors are relative to |x @ modulus|. x is first that with the smallest sum of squares over more than half of the
@@ -197,7 +219,7 @@ def _agreeing(rows: Array, modulus: Array) -> tuple[Array, BoolArray, float] | N
     square of the largest error; None unless x is unique."""
     K, r, c = rows.shape
     fewest = -(-(c - 1) // r)
-    least = max(K // 2 + 1, fewest + SPARE)
+    least = max(int(share * K) + 1, int(np.ceil(REDUNDANCY * (c - 1) / r)))
     squares = (np.swapaxes(rows, 1, 2) @ rows).reshape(K, -1)
 
     def fit(member: Array) -> tuple[Array, Array, Array]:
@@ -206,7 +228,7 @@ def _agreeing(rows: Array, modulus: Array) -> tuple[Array, BoolArray, float] | N
         error = ((rows @ x.T) ** 2).sum(axis=1).T
         return value, x, error / np.maximum(((x @ modulus) ** 2).sum(axis=1), 1e-300)[:, None]
 
-    if K < fewest:
+    if fewest > K:
         return None
     kept = np.ones((1, K))
     if least < K:
@@ -220,10 +242,10 @@ def _agreeing(rows: Array, modulus: Array) -> tuple[Array, BoolArray, float] | N
         best = np.argmin(np.take_along_axis(error, chosen, axis=1).sum(axis=1))
         kept = np.zeros((1, K))
         kept[0, chosen[best]] = 1.0
-    for _ in range(REFITS):
+    for widened in (WIDENED, *[1.0] * REFITS):
         value, x, error = fit(kept)
         scale = float((error * kept).sum() / max(r * kept.sum() - c + 1, 1.0))
-        limit = r * AGREEING**2 * max(scale, NEAR**2)
+        limit = r * AGREEING**2 * max(widened * scale, NEAR**2)
         before, kept = kept, np.where(error <= limit, 1.0, 0.0)
         if np.array_equal(kept, before) or kept.sum() < least:
             break
@@ -247,7 +269,7 @@ def ellipsoid_through(readings: Array) -> tuple[SensorModel, BoolArray] | None:
         [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z, np.ones_like(x)], axis=1
     )
     # 2 (a + b + c) is twice the level of the quadric about its centre, by which the radius is off, for a sphere
-    agreeing = _agreeing(rows[:, None], np.where(np.arange(10) < 3, 2.0, 0.0)[:, None])
+    agreeing = _agreeing(rows[:, None], np.where(np.arange(10) < 3, 2.0, 0.0)[:, None], 0.75)
     if agreeing is None:
         return None
     x, kept, _ = agreeing
@@ -322,6 +344,10 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
             f"the readings scatter by {fit.scatter:.3g}, more than {100 * SCATTER_LIMIT:g} % of the field: the field "
             "is not the same in all of them; record away from steel"
         )
+    outliers, station = np.concatenate([omitted, omitted_nodes[magnetic]]), readings.station
+    found = by_attitudes(readings.values, fitted.point.attitudes[station], problem.chain[station])
+    for kept in (~outliers, *([] if found is None else [found[2]])):
+        refused = differing(kept) if differs(kept) else refused
     return MagnetometerEstimate(
         names=magnetometer.block.names,
         values=unknowns[:DIP],
@@ -331,7 +357,7 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
         magnetometer=magnetometer,
         dip=magnetometer.dip + float(unknowns[DIP]),
         fit=fit,
-        left_out=np.concatenate([omitted, omitted_nodes[magnetic]]),
+        left_out=outliers,
         sigmas=np.concatenate([mag, at_nodes[magnetic]]),
         off=np.linalg.norm(model.apply(readings.values), axis=1) - magnetometer.field,
         time=time,

@@ -78,6 +78,7 @@ TO_AND_FRO = 6
 PLACE_UNKNOWN = 1e-3  # relative u of gravity of an unknown place, three times that of normal gravity anywhere
 BEYOND = 3.0  # ratio of scatter or a size to the usual from which `maximise_from_starts` tries other starts
 NOT_ABSORBING = "mag", "displacement", "displacement_time"  # elements of φ that do not absorb errors of sensors
+ROUNDS = 3  # of readmitting outliers that others, now left out, have made
 USELESS = {"turn": 0.3, "velocity": 3.0}  # rad and m/s: turns of such scatter have no information
 WIDE = 3.0  # prior standard deviations of p from which sizes of groups start
 ANEW = 3.0  # s: correlation time of biases that change at every rest
@@ -325,9 +326,14 @@ def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maxim
     outliers = _outliers(robust.solution)
     if confirmed and all(map(np.array_equal, outliers, before)):
         return fitted
-    weights = [np.where(group, weight, 1.0) for group, weight in zip(outliers, OUTLIER_WEIGHTS, strict=True)]
-    noise = weighted(fitted.usual_problem, robust.linearisation.noise, weights)
-    return maximise(replace(robust.linearisation, noise=noise), robust.phi, iterations)
+    for _ in range(ROUNDS):
+        weights = [np.where(group, weight, 1.0) for group, weight in zip(outliers, OUTLIER_WEIGHTS, strict=True)]
+        noise = weighted(fitted.usual_problem, robust.linearisation.noise, weights)
+        robust = maximise(replace(robust.linearisation, noise=noise), robust.phi, iterations)
+        before, outliers = outliers, list(map(np.logical_and, outliers, _outliers(robust.solution)))
+        if all(map(np.array_equal, outliers, before)):
+            break
+    return robust
 
 
 def _outliers(solution: Solution) -> list[BoolArray]:
