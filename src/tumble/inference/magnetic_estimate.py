@@ -269,7 +269,7 @@ def ellipsoid_through(readings: Array) -> tuple[SensorModel, BoolArray] | None:
         [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z, np.ones_like(x)], axis=1
     )
     # 2 (a + b + c) is twice the level of the quadric about its centre, by which the radius is off, for a sphere
-    agreeing = _agreeing(rows[:, None], np.where(np.arange(10) < 3, 2.0, 0.0)[:, None], 0.75)
+    agreeing = _agreeing(rows[:, None], np.where(np.arange(10) < 3, 2.0, 0.0)[:, None], 0.8)
     if agreeing is None:
         return None
     x, kept, _ = agreeing
