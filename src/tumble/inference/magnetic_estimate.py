@@ -1,15 +1,22 @@
 """Initial values of a magnetometer in the joint estimate of a session, and its result.
 
-The readings m at the stations lie on an ellipsoid about the hard iron b, (m − b)ᵀ H (m − b) = 1, whose coefficients are
-the last right singular vector of the matrix of its monomials. With H⁻¹ = A Aᵀ the field is along Q q, q = A⁻¹ (m − b),
-with an orthogonal Q. At one place the angle between the vertical u and the field is the same in every attitude,
+Steel and motors disturb some of the readings m, so that the first fit is robust (`_agreeing`). Gyros carry the
+attitudes L along a chain of stations, known up to a common heading. Then T = S⁻¹, c = T b and the field h are linear,
+
+    L_i (T m_i − c) − h = 0
+
+five stations determine them up to a factor, and most of the readings agree with the true ones. Without such a chain,
+or if a turn spoils it, the readings lie on an ellipsoid about the hard iron b, (m − b)ᵀ H (m − b) = 1, whose
+coefficients are the last right singular vector of the matrix of its monomials. With H⁻¹ = A Aᵀ the field is along Q q,
+q = A⁻¹ (m − b), with an orthogonal Q. At one place the angle between the vertical u and the field is the same in every
+attitude,
 
     uᵢᵀ Q qᵢ = −sin I for all stations i,
 
 which determines Q up to its sign: the permutation of axes and signs with the smallest scatter, followed by a rotation
-from least squares. The sign is that with which the field points down in the northern hemisphere and up in the southern;
-near the equator, or at an unknown latitude, it is that of a rotation. The attitudes of each chain are then turned about
-the vertical so that the field is north.
+from least squares. The sign of Q or T is that with which the field points down in the northern hemisphere and up in the
+southern; near the equator, or at an unknown latitude, it is that of a rotation. The attitudes of each chain are then
+turned about the vertical so that the field is north.
 """
 
 from __future__ import annotations
@@ -31,8 +38,7 @@ from tumble.rotation import UP, rotation_matrix, unit_vector
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
-FEWEST = 9  # stations that determine an ellipsoid
-FLAT = 1e-3  # second smallest singular value over the largest, below which the ellipsoid is not unique
+FLAT = 1e-3  # second smallest singular value over the largest, below which a fit is not unique
 REDUNDANCY = 1.5  # equations of the fewest readings that must agree, relative to unknowns
 WIDENED = 9.0  # variance of Gaussian errors over that of the half which agrees best, after its fit
 SUBSETS, CONCENTRATIONS, REFITS = 400, 4, 12  # of a robust fit; of 12 rests with 4 near steel, 28 subsets have none
@@ -131,13 +137,10 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     point, station = begun.point, readings.station
     attitudes = point.attitudes[station]
     found = by_attitudes(readings.values, attitudes, problem.chain[station])
-    disturbed = found is not None and differs(found[2])  # or a turn is spoilt, which the joint fit finds
-    if (found is None or disturbed) and (ellipsoid := ellipsoid_through(readings.values)) is not None:
-        sphere, kept = ellipsoid
-        Q, sine = _orientation(unit_vector(sphere.apply(readings.values[kept])), attitudes[kept, 1])
-        found = SensorModel(matrix=sphere.matrix @ Q.T, bias=sphere.bias), sine, kept
-    if found is None or (disturbed and ellipsoid is None):
-        return start, differing(found[2]) if found is not None else (
+    if found is None or np.mean(~found[2]) > MOST_DISTURBED:  # perhaps by a spoilt turn, which the joint fit finds
+        found = by_ellipsoid(readings.values, attitudes[:, 1]) or found
+    if found is None:
+        return start, (
             f"its {len(readings.values)} readings lie on no one ellipsoid: the attitudes are too few or too much "
             "alike, or a channel does not follow the field; record away from steel in more attitudes"
         )
@@ -160,26 +163,10 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     return replace(begun, noise=begun.noise.weighted(*_weights(problem, begun.noise, kept))), ""
 
 
-def differs(kept: BoolArray) -> bool:
-    """Return True if more readings are not kept than a robust fit can tell."""
-    return bool(np.mean(~kept) > MOST_DISTURBED)
-
-
-def differing(kept: BoolArray) -> str:
-    """Return the reason why a magnetometer cannot be used whose readings `differs`."""
-    return (
-        f"the field is not the same in {np.sum(~kept)} or more of its {len(kept)} readings, too many to tell which are "
-        "disturbed; record away from steel, with motors off"
-    )
-
-
 def _weights(problem: Problem, noise: NoiseModel, kept: BoolArray) -> tuple[Array, Array, Array]:
     """Return square roots of the weights of all rows, where the readings (K,) that are not kept are left out."""
-    N, nodes, of_readings = (
-        len(problem.observations.rests),
-        np.ones(len(problem.before_link)),
-        np.where(kept, 1.0, OUTLIER_WEIGHTS[-1]),
-    )
+    N, nodes = len(problem.observations.rests), np.ones(len(problem.before_link))
+    of_readings = np.where(kept, 1.0, OUTLIER_WEIGHTS[-1])
     if problem.observations.links is not None:
         nodes[problem.observations.links.magnetic] = of_readings[N:]
     turns = np.ones(len(problem.before_turn))
@@ -193,7 +180,7 @@ def by_attitudes(readings: Array, attitudes: Array, chain: IntArray) -> tuple[Se
     agree; None without a unique fit, or if most readings are in other chains."""
     mean, size = readings.mean(axis=0), readings.std()
     longest = chain == np.argmax(np.bincount(chain))
-    if 2 * longest.sum() <= len(chain) or size == 0.0:
+    if 2 * longest.sum() <= len(chain) or not size > 0.0:  # or not finite
         return None
     m, L = (readings - mean) / size, attitudes
     rows = np.concatenate(
@@ -213,10 +200,10 @@ def by_attitudes(readings: Array, attitudes: Array, chain: IntArray) -> tuple[Se
 def _agreeing(rows: Array, modulus: Array, share: float) -> tuple[Array, BoolArray, float] | None:
     """Return the unit vector x that most readings agree with, rows (K, r, c) times x being zero but for errors.
 
-    Errors are relative to |x @ modulus|. x is first that with the smallest sum of squares over more than half of the
-    readings (least trimmed squares), begun from random subsets that determine it; readings within AGREEING standard
-    deviations are then added and others removed until they stay the same. Returns also True for these (K,), and the
-    square of the largest error; None unless x is unique."""
+    Errors are relative to |x @ modulus|. x is first that with the smallest sum of squares over more than a `share` of
+    the readings (least trimmed squares), begun from random subsets that determine it; readings within AGREEING
+    standard deviations are then added and others removed until they stay the same. Returns also True for these (K,),
+    and the square of the largest error; None unless x is unique."""
     K, r, c = rows.shape
     fewest = -(-(c - 1) // r)
     least = max(int(share * K) + 1, int(np.ceil(REDUNDANCY * (c - 1) / r)))
@@ -228,8 +215,6 @@ def _agreeing(rows: Array, modulus: Array, share: float) -> tuple[Array, BoolArr
         error = ((rows @ x.T) ** 2).sum(axis=1).T
         return value, x, error / np.maximum(((x @ modulus) ** 2).sum(axis=1), 1e-300)[:, None]
 
-    if fewest > K:
-        return None
     kept = np.ones((1, K))
     if least < K:
         number, order = np.arange(SUBSETS)[:, None], np.random.default_rng(K).random((SUBSETS, K)).argsort(axis=1)
@@ -239,9 +224,8 @@ def _agreeing(rows: Array, modulus: Array, share: float) -> tuple[Array, BoolArr
             member[number, chosen] = 1.0
             error = fit(member)[2]
             chosen = np.argpartition(error, least - 1, axis=1)[:, :least]
-        best = np.argmin(np.take_along_axis(error, chosen, axis=1).sum(axis=1))
-        kept = np.zeros((1, K))
-        kept[0, chosen[best]] = 1.0
+        best = chosen[np.argmin(error[number, chosen].sum(axis=1))]
+        kept = np.where(np.isin(np.arange(K), best), 1.0, 0.0)[None]
     for widened in (WIDENED, *[1.0] * REFITS):
         value, x, error = fit(kept)
         scale = float((error * kept).sum() / max(r * kept.sum() - c + 1, 1.0))
@@ -254,15 +238,12 @@ def _agreeing(rows: Array, modulus: Array, share: float) -> tuple[Array, BoolArr
     return x[0], before[0] > 0.0, limit
 
 
-def ellipsoid_through(readings: Array) -> tuple[SensorModel, BoolArray] | None:
-    """Fit an algebraic ellipsoid to readings (K, 3) of unit vectors in an arbitrary frame.
+def by_ellipsoid(readings: Array, vertical: Array) -> tuple[SensorModel, float, BoolArray] | None:
+    """Fit an algebraic ellipsoid to readings (K, 3), directed by the vertical (K, 3) in the body at each.
 
-    Returns the sensors with these readings, and True for the readings (K,) that are no outliers; None without a unique
-    ellipsoid."""
-    if len(readings) < FEWEST or not np.isfinite(readings).all():
-        return None
+    Returns what `by_attitudes` does; None without a unique ellipsoid."""
     mean, size = readings.mean(axis=0), readings.std(axis=0)
-    if not np.all(size > 0.0):
+    if not np.all(size > 0.0):  # not finite, or constant
         return None
     x, y, z = ((readings - mean) / size).T
     rows = np.stack(
@@ -282,7 +263,9 @@ def ellipsoid_through(readings: Array) -> tuple[SensorModel, BoolArray] | None:
     if level <= 0.0:
         return None
     lower = np.linalg.cholesky(np.linalg.inv(H / level))
-    return SensorModel(matrix=size[:, None] * lower, bias=mean + size * centre), kept
+    sphere = SensorModel(matrix=size[:, None] * lower, bias=mean + size * centre)
+    Q, sine = _orientation(unit_vector(sphere.apply(readings[kept])), vertical[kept])
+    return SensorModel(matrix=sphere.matrix @ Q.T, bias=sphere.bias), sine, kept
 
 
 def block_near(matrix: Array) -> Block:
@@ -339,15 +322,19 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
     undetermined = np.sqrt(marginal.diagonal()) > magnetometer.u[:DIP] / DETERMINED
     names = np.array(magnetometer.block.names)[undetermined].tolist()
     refused = f"nothing determines {', '.join(names)}: take more attitudes" if names else ""
+    outliers, station = np.concatenate([omitted, omitted_nodes[magnetic]]), readings.station
+    agreeing = by_attitudes(readings.values, fitted.point.attitudes[station], problem.chain[station])
+    disturbed = max(outliers.sum(), 0 if agreeing is None else np.sum(~agreeing[2]))
+    if disturbed > MOST_DISTURBED * len(outliers):
+        refused = (
+            f"the field is not the same in {disturbed} or more of its {len(outliers)} readings, too many to tell which "
+            "are disturbed; record away from steel, with motors off"
+        )
     if fit.scatter > SCATTER_LIMIT * magnetometer.field:
         refused = (
             f"the readings scatter by {fit.scatter:.3g}, more than {100 * SCATTER_LIMIT:g} % of the field: the field "
             "is not the same in all of them; record away from steel"
         )
-    outliers, station = np.concatenate([omitted, omitted_nodes[magnetic]]), readings.station
-    found = by_attitudes(readings.values, fitted.point.attitudes[station], problem.chain[station])
-    for kept in (~outliers, *([] if found is None else [found[2]])):
-        refused = differing(kept) if differs(kept) else refused
     return MagnetometerEstimate(
         names=magnetometer.block.names,
         values=unknowns[:DIP],

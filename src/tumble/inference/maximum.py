@@ -313,12 +313,11 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
 
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
     """Return the maximum without rests and turns that are outliers; `fitted` itself if there are none."""
-    solution, noise = fitted.solution, fitted.linearisation.noise
-    groups, before = 3 if fitted.problem.magnetometer is None else 5, left_out(fitted.problem, noise)
-    used = [distance[~out] for distance, out in zip(sigmas(solution), before, strict=True)]
+    noise, groups = fitted.linearisation.noise, 3 if fitted.problem.magnetometer is None else 5
+    before, outliers = left_out(fitted.problem, noise), _outliers(fitted.solution)
+    used = [distance[~out] for distance, out in zip(sigmas(fitted.solution), before, strict=True)]
     distances = np.concatenate(used[:groups])
     p_value = 2.0 * scipy.special.ndtr(-distances.max(initial=0.0)) * len(distances)
-    outliers = _outliers(solution)
     confirmed = noise.whole or all(map(np.array_equal, outliers, before))
     if confirmed and (not len(distances) or p_value > OUTLIER_PROBABILITY):
         return fitted
