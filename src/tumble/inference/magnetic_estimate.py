@@ -322,6 +322,11 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
     undetermined = np.sqrt(marginal.diagonal()) > magnetometer.u[:DIP] / DETERMINED
     names = np.array(magnetometer.block.names)[undetermined].tolist()
     refused = f"nothing determines {', '.join(names)}: take more attitudes" if names else ""
+    if fit.scatter > SCATTER_LIMIT * magnetometer.field:
+        refused = (
+            f"the readings scatter by {fit.scatter:.3g}, more than {100 * SCATTER_LIMIT:g} % of the field: the field "
+            "is not the same in all of them; record away from steel"
+        )
     outliers, station = np.concatenate([omitted, omitted_nodes[magnetic]]), readings.station
     agreeing = by_attitudes(readings.values, fitted.point.attitudes[station], problem.chain[station])
     disturbed = max(outliers.sum(), 0 if agreeing is None else np.sum(~agreeing[2]))
@@ -329,11 +334,6 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
         refused = (
             f"the field is not the same in {disturbed} or more of its {len(outliers)} readings, too many to tell which "
             "are disturbed; record away from steel, with motors off"
-        )
-    if fit.scatter > SCATTER_LIMIT * magnetometer.field:
-        refused = (
-            f"the readings scatter by {fit.scatter:.3g}, more than {100 * SCATTER_LIMIT:g} % of the field: the field "
-            "is not the same in all of them; record away from steel"
         )
     return MagnetometerEstimate(
         names=magnetometer.block.names,

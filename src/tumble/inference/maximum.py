@@ -329,9 +329,10 @@ def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maxim
         weights = [np.where(group, weight, 1.0) for group, weight in zip(outliers, OUTLIER_WEIGHTS, strict=True)]
         noise = weighted(fitted.usual_problem, robust.linearisation.noise, weights)
         robust = maximise(replace(robust.linearisation, noise=noise), robust.phi, iterations)
-        before, outliers = outliers, list(map(np.logical_and, outliers, _outliers(robust.solution)))
-        if all(map(np.array_equal, outliers, before)):
+        still = [a & b for a, b in zip(outliers, _outliers(robust.solution), strict=True)]
+        if all(map(np.array_equal, outliers, still)):
             break
+        outliers = still
     return robust
 
 
