@@ -690,7 +690,8 @@ def _draw(fitted: Maximum, proposal: Proposal, normal: Array, sequence: int) -> 
     for k, point_sizes in enumerate(sizes if len(members) else ()):
         folded = Folded.of(at.information[k], at.right[k], point_sizes)
         log_weight[k] += folded.log_likelihood
-        w = scipy.special.softmax(log_weight[k])
+        w = np.exp(log_weight[k] - log_weight[k].max())
+        w /= w.sum()
         value[k], within[k] = w @ folded.values, folded.covariance(w)
         deviation = folded.values - value[k]
         between[k] = (deviation.T * w) @ deviation
