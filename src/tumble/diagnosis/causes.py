@@ -223,8 +223,8 @@ def _per_g(kind: str, power: int) -> tuple[float, str]:
 def jumps(session: LinearisedSession) -> Iterator[Candidate]:
     """Yield a jump of the biases of each kind of sensor after some rest, as of a driver that measures them anew.
 
-    The turn there has a bias of its own, as the jump may be anywhere in it. The parameters are the means over the rests,
-    and the jump is about these."""
+    The turn there has a bias of its own, as the jump may be anywhere in it. The parameters are the means over the
+    rests, and the jump is about these."""
     rests, parts = session.observations.rests, session.problem.parts
     turns = len(session.problem.before_turn)
     longest = max(part.rests.stop - part.rests.start for part in parts) - 2 * RESTS_BESIDE_JUMP + 1
