@@ -211,6 +211,12 @@ def check_certificate(certificate: Certificate, calibration: Calibration) -> Cal
             f"certificate: expected the serial number of the device, found {calibration.serial!r}, the name of the "
             "table of its readings; calibrate again with --serial"
         )
+    site = calibration.provenance.site
+    if calibration.accel is not None and site is not None and site.gravity_is_unit:
+        raise InputError(
+            "certificate: expected scale factors in SI, found gravity at the place of the readings as their unit, which "
+            "differs by up to 0.3 %; calibrate again with --gravity and --gravity-u"
+        )
     if calibration.outcome.unsteady and certificate.changed is None:
         raise InputError(
             "certificate: changed: expected a statement under this key on a device that changed while it was recorded, "

@@ -113,8 +113,8 @@ class Verdict:
 def judge_calibration(calibration: Calibration, limits: Limits) -> list[Verdict]:
     """Judge a calibration in each check that has limits.
 
-    Sensors that are not accepted count as not determined, and parameters that changed are undecided. Raises CalibrationError if it cannot be converted to the
-    frame of the limits."""
+    Sensors that are not accepted count as not determined, and parameters that changed are undecided. Raises
+    CalibrationError if it cannot be converted to the frame of the limits."""
     judged = (judge_check(calibration, limits, occasion) for occasion in OCCASIONS)
     return [verdict for verdict in judged if verdict is not None]
 

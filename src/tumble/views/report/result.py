@@ -90,7 +90,10 @@ def verdict_blocks(calibration: Calibration, sentence_for: Callable[[str], str] 
     if by_kind:
         blocks.append(f"{'; '.join(by_kind).capitalize()}.")
     tones: tuple[tuple[tuple[str, ...], Tone], ...] = ((outcome.reasons, "bad"), (outcome.remarks, "doubt"))
-    return [*blocks, *(Items(items=tuple(map(sentence_for, each)), tone=tone) for each, tone in tones if each)]
+    for sentences, of_list in tones:
+        items = tuple(f"{each[0].upper()}{each[1:]}" for each in map(sentence_for, sentences) if each)
+        blocks += [Items(items=items, tone=of_list)] if items else []
+    return blocks
 
 
 def value_blocks(calibration: Calibration, further: Cells | None = None) -> list[Block]:
