@@ -25,7 +25,7 @@ from tumble.inference.estimate import Outcome
 from tumble.lab.certificate import Party, read_certificate
 from tumble.lab.report import letterhead, write_certificate
 from tumble.planning.setup import Setup
-from tumble.recording.session import AirConditions, Circumstances
+from tumble.recording.session import AirConditions, Circumstances, Site
 from tumble.recording.session_file import session_of
 from tumble.result.calibration import read_calibration
 from tumble.result.coverage import expanded
@@ -402,8 +402,9 @@ def test_a_device_that_changed_while_it_was_recorded_needs_a_statement_and_is_no
 def test_scale_factors_in_gravity_at_the_place_are_not_certified(tmp_path: Path) -> None:
     path = files(tmp_path)
     made = read_calibration(path)
-    assert made.provenance.site is not None
-    with_fields(made, site=replace(made.provenance.site, gravity_is_unit=True)).write(path, force=True)
+    with_fields(made, site=Site(latitude=None, height=0.0, gravity=9.80665, gravity_is_unit=True)).write(
+        path, force=True
+    )
     with pytest.raises(InputError, match="expected scale factors in SI, found gravity at the place"):
         write_certificate(path, tmp_path / "r.html", tmp_path / "certificate.toml")
 

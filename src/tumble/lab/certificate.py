@@ -69,7 +69,7 @@ _COMMANDS = ("[", "`", "--", "tumble ", " = true")  # marks of clauses with keys
 _ASIDE = re.compile(r" \([^()]*(?:--|`|\[)[^()]*\)|, (?:and|or) (?=[^;:]*(?:--|`|\[))[^;:]*")
 _CLAUSE = re.compile(r"([;:] |\. (?=[A-Z]))")
 _ADVICE = re.compile(
-    r"(?:calibrate|come|correct|fasten|For values|give|is the|leave|let|longer rests|look|make|measure|otherwise|put|"
+    r"(?:calibrate|come|correct|fasten|for others turn|For values|give|is the|leave|let|longer rests|look|make|measure|otherwise|put|"
     r"record (?:it|more)|rests in|state|switch|take|turn (?:smoothly|at)|wait|write)\b"
 )
 """Beginnings of clauses that advise the operator of the program."""
@@ -114,8 +114,8 @@ class Certificate(_CertificateTable):
     Without `begin` and `end` the date is that of the recording. `state` is that of the item when it was calibrated,
     `as_found` the calibration file from before an adjustment. `limits` is a file of acceptance limits, `check` selects
     one of its checks, `agreed` is the agreement on limits and decision rule, `traceability` that of gravity, time and
-    table; `changed` is what the laboratory states on a device that changed while it was recorded; `replaces` is the number
-    of an earlier certificate. Keys with a title are shown on the first page."""
+    table; `changed` is what the laboratory states on a device that changed while it was recorded; `replaces` is the
+    number of an earlier certificate. Keys with a title are shown on the first page."""
 
     number: _Text
     country: _Country
@@ -204,8 +204,9 @@ def check_certificate(certificate: Certificate, calibration: Calibration) -> Cal
     """Check that a certificate is consistent with its calibration.
 
     The item must be received before it is calibrated and calibrated before the certificate is issued, all recordings
-    must be within the days of the calibration, a change of the device must have a statement, and the calibration as found must be of the same device, in the same
-    frame and recorded earlier. Returns the calibration as found, None without. Raises InputError."""
+    must be within the days of the calibration, scale factors in SI, and a change of the device needs a statement. The
+    calibration as found must be of the same device, in the same frame and recorded earlier; it is returned, None
+    without. Raises InputError."""
     if any(note.startswith(SERIAL_NOT_STATED) for note in calibration.provenance.notes):
         raise InputError(
             f"certificate: expected the serial number of the device, found {calibration.serial!r}, the name of the "
@@ -214,8 +215,8 @@ def check_certificate(certificate: Certificate, calibration: Calibration) -> Cal
     site = calibration.provenance.site
     if calibration.accel is not None and site is not None and site.gravity_is_unit:
         raise InputError(
-            "certificate: expected scale factors in SI, found gravity at the place of the readings as their unit, which "
-            "differs by up to 0.3 %; calibrate again with --gravity and --gravity-u"
+            "certificate: expected scale factors in SI, found gravity at the place of the readings as their unit, "
+            "which differs by up to 0.3 %; calibrate again with --gravity and --gravity-u"
         )
     if calibration.outcome.unsteady and certificate.changed is None:
         raise InputError(

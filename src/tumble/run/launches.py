@@ -296,7 +296,8 @@ def _mean_parameters(
 def _differing_launches(
     runs: Sequence[LaunchRun], parameters: Sequence[Parameter], covariances: Array
 ) -> Iterator[tuple[float, str]]:
-    """Yield a remark, with its probability by chance, if launches differ by more than power-ons of one device of its grade, and their u, explain.
+    """Yield a remark, and how probable it is by chance, if launches differ by more than power-ons of one device of its
+    grade, and their u, explain.
 
     For a parameter of the linear model s²/(s_g² + n²) has an F distribution, with the usual s_g from power-on to
     power-on of the grade and the u of a launch, n. The least probability is multiplied by the number of parameters."""

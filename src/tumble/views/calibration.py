@@ -171,8 +171,7 @@ def calibration_blocks(
             done = f"the last of {len(steps)} iterations added {_largest_change(each, steps[-1])}"
         lines.append(f"{each.method}: {done}")
     for other in others:
-        changes = {p.name: other[p.name].value - p.value for p in calibration.parameters if p.name in other}
-        lines.append(f"{other.method} differs from {calibration.method} by {_largest_change(calibration, changes)}")
+        lines.append(f"{other.method} differs from {calibration.method} by {_largest_difference(calibration, other)}")
     lines += notes_without_expanded(parameters)
     if accepted_kinds(calibration):
         to = "px4 -o imu.params (ardupilot, " if calibration.imu else "json -o imu.json ("
@@ -215,8 +214,22 @@ def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
 def _largest_change(calibration: Calibration, changes: Mapping[str, float]) -> str:
     """Return the largest change of a parameter in units of u."""
     sigmas = {p.name: abs(changes[p.name]) / p.u for p in calibration.parameters if p.u and p.name in changes}
+    return _in_u(sigmas, "u")
+
+
+def _in_u(sigmas: Mapping[str, float], u: str) -> str:
     name = max(sigmas, key=sigmas.__getitem__, default="")
-    return f"at most {significant(sigmas[name], 2)} u ({name})" if name else "an amount that cannot be given in u"
+    return f"at most {significant(sigmas[name], 2)} {u} ({name})" if name else "an amount that cannot be given in u"
+
+
+def _largest_difference(calibration: Calibration, other: Calibration) -> str:
+    """Return the largest difference of a parameter of two calibrations in units of u of both."""
+    sigmas = {
+        p.name: abs(other[p.name].value - p.value) / math.hypot(p.u, other[p.name].u or 0.0)
+        for p in calibration.parameters
+        if p.u and p.name in other
+    }
+    return _in_u(sigmas, "combined u")
 
 
 # -------------------- tables --------------------

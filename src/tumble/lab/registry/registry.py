@@ -100,8 +100,8 @@ class Registry:
         Parameters
         ----------
         calibration
-            Calibration or its file. If only its accelerometers or only its gyros are accepted, these are registered; one
-            that is not accepted withdraws the device.
+            Calibration or its file. If only its accelerometers or only its gyros are accepted, these are registered;
+            one that is not accepted withdraws the device.
         performed
             When the device was calibrated; default: the date of the recording, or else of the file.
         occasion
