@@ -295,8 +295,8 @@ def _session_findings(
     for cause in named:
         if cause not in harmful:
             sentence = f"probable cause: {cause.sentence}"
-            causes = cause.name, *cause.rivals
-            yield Finding(sentence=sentence, concerns=cause.concerns, causes=causes, unsteady=cause.name in CHANGES)
+            possible = cause.name, *cause.rivals
+            yield Finding(sentence=sentence, concerns=cause.concerns, causes=possible, unsteady=cause.name in CHANGES)
     yield from _erratic_biases(linearised)
 
 

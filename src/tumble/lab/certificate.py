@@ -69,8 +69,8 @@ _COMMANDS = ("[", "`", "--", "tumble ", " = true")  # marks of clauses with keys
 _ASIDE = re.compile(r" \([^()]*(?:--|`|\[)[^()]*\)|, (?:and|or) (?=[^;:]*(?:--|`|\[))[^;:]*")
 _CLAUSE = re.compile(r"([;:] |\. (?=[A-Z]))")
 _ADVICE = re.compile(
-    r"(?:calibrate|come|correct|fasten|for others turn|For values|give|is the|leave|let|longer rests|look|make|measure|otherwise|put|"
-    r"record (?:it|more)|rests in|state|switch|take|turn (?:smoothly|at)|wait|write)\b"
+    r"(?:calibrate|come|correct|fasten|for others turn|For values|give|is the|leave|let|longer rests|look|make|"
+    r"measure|otherwise|put|record (?:it|more)|rests in|state|switch|take|turn (?:smoothly|at)|wait|write)\b"
 )
 """Beginnings of clauses that advise the operator of the program."""
 

@@ -89,10 +89,10 @@ def verdict_blocks(calibration: Calibration, sentence_for: Callable[[str], str] 
     *by_kind, _ = verdicts(calibration)
     if by_kind:
         blocks.append(f"{'; '.join(by_kind).capitalize()}.")
-    tones: tuple[tuple[tuple[str, ...], Tone], ...] = ((outcome.reasons, "bad"), (outcome.remarks, "doubt"))
-    for sentences, of_list in tones:
-        items = tuple(f"{each[0].upper()}{each[1:]}" for each in map(sentence_for, sentences) if each)
-        blocks += [Items(items=items, tone=of_list)] if items else []
+    reasons = tuple(map(sentence_for, outcome.reasons))
+    remarks = tuple(f"{each[0].upper()}{each[1:]}" for each in map(sentence_for, outcome.remarks) if each)
+    blocks += [Items(items=reasons, tone="bad")] if reasons else []
+    blocks += [Items(items=remarks, tone="doubt")] if remarks else []
     return blocks
 
 
