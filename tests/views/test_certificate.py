@@ -402,9 +402,8 @@ def test_a_device_that_changed_while_it_was_recorded_needs_a_statement_and_is_no
 def test_scale_factors_in_gravity_at_the_place_are_not_certified(tmp_path: Path) -> None:
     path = files(tmp_path)
     made = read_calibration(path)
-    with_fields(made, site=Site(latitude=None, height=0.0, gravity=9.80665, gravity_is_unit=True)).write(
-        path, force=True
-    )
+    site = Site(latitude=None, height=0.0, gravity=9.80665, gravity_u=0.0, gravity_is_unit=True)
+    with_fields(made, site=site).write(path, force=True)
     with pytest.raises(InputError, match="expected scale factors in SI, found gravity at the place"):
         write_certificate(path, tmp_path / "r.html", tmp_path / "certificate.toml")
 
