@@ -59,6 +59,9 @@ def test_a_calibration_that_is_not_accepted_withdraws_the_device_until_it_is_cal
     assert (record.verdict, record.accepted, registry.verdict(record)) == ("not accepted", False, None)
     assert [due.withdrawn for due in registry.due()] == [True]
     assert len(registry.trend(record.serial).parameters[0].points) == 1
+    mended = content() | {"provenance": whole["provenance"]}  # the same log, without what was wrong in it
+    registry.add_calibration(write(tmp_path / "good.json", mended))
+    assert [due.withdrawn for due in registry.due()] == [False]
 
 
 def test_serial_numbers_that_look_alike_are_named(registry: Registry, tmp_path: Path) -> None:

@@ -168,7 +168,7 @@ class Registry:
                 verdict=verdict,
                 file=text,
             )
-            rows.add_logs(number, logs)
+            rows.add_logs(number, logs if accepted else ())  # a better calibration of the log may follow
             return rows.records(number=number)[0]
 
     def set_limits(self, model: str, file: FilePath) -> LimitsRecord:
