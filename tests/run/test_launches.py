@@ -81,7 +81,21 @@ def test_another_device_under_the_same_serial_number_is_remarked_first(runs: lis
     first = found.outcome.remarks[0]
     assert first.startswith("the launches differ by more than power-ons and noise of one device: ")
     assert "they are of different devices, or the device was changed" in first
+    assert found.outcome.unsteady == (first,)
+    assert found.outcome.is_unsteady("gyro.bias")
     assert not any("the launches differ" in remark for remark in mean_of_launches(runs).outcome.remarks)
+
+
+def test_launches_of_two_types_under_one_serial_number_are_refused(runs: list[LaunchRun]) -> None:
+    for field, one, other in (("model", "FOG-1", "MEMS-T"), ("grade", "navigation", "tactical")):
+        first, second = (
+            replace(run, session=replace(run.session, device=replace(run.session.device, **{field: value})))
+            for run, value in zip(runs, (one, other), strict=False)
+        )
+        with pytest.raises(
+            InputError, match=f"device.{field}: expected '{one}' like the first session, found '{other}'"
+        ):
+            mean_of_launches([first, second])
 
 
 def test_a_table_of_positions_is_checked_with_the_rests_and_scatter_of_all_launches(
