@@ -23,6 +23,8 @@ from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.inference.estimate import Outcome
 from tumble.lab.certificate import Party, read_certificate
+from tumble.lab.conformity import judge_calibration
+from tumble.lab.limits import parse_limits
 from tumble.lab.report import letterhead, write_certificate
 from tumble.planning.setup import Setup
 from tumble.recording.session import AirConditions, Circumstances, Site
@@ -406,6 +408,9 @@ def test_scale_factors_in_gravity_at_the_place_are_not_certified(tmp_path: Path)
     with_fields(made, site=site).write(path, force=True)
     with pytest.raises(InputError, match="expected scale factors in SI, found gravity at the place"):
         write_certificate(path, tmp_path / "r.html", tmp_path / "certificate.toml")
+    limits = parse_limits('format = 1\n[periodic]\n"accel.scale" = "5000 ppm"\n', "limits")
+    (verdict,) = judge_calibration(read_calibration(path), limits)
+    assert [j.expanded for j in verdict.judgements] == pytest.approx([2.0 * 0.03 / 9.80665] * 3, rel=0.1)
 
 
 @pytest.fixture(scope="module")

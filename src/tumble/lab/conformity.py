@@ -25,13 +25,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
 import scipy
 
 from tumble.lab.limits import OCCASIONS, Limits, Occasion
+from tumble.recording.session.document import UNKNOWN_SITE_GRAVITY_U
 from tumble.result.accepted import accepted_kinds, accepted_part
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded_of
@@ -114,7 +115,8 @@ def judge_calibration(calibration: Calibration, limits: Limits) -> list[Verdict]
     """Judge a calibration in each check that has limits.
 
     Sensors that are not accepted count as not determined, and parameters that changed are undecided. Raises
-    CalibrationError if it cannot be converted to the frame of the limits."""
+    CalibrationError if it cannot be converted to the frame of the limits. U of scale factors includes gravity at the
+    place of the readings where that is their unit."""
     judged = (judge_check(calibration, limits, occasion) for occasion in OCCASIONS)
     return [verdict for verdict in judged if verdict is not None]
 
@@ -128,6 +130,13 @@ def judge_check(calibration: Calibration, limits: Limits, occasion: Occasion) ->
     unobservable, parameters = calibration.outcome.unobservable, calibration.parameters
     if not accepted:
         unobservable, parameters = (*calibration, *unobservable), ()
+    site = calibration.provenance.site
+    if site is not None and site.gravity_is_unit:  # limits are in SI
+        of_gravity = UNKNOWN_SITE_GRAVITY_U / site.gravity
+        parameters = tuple(
+            replace(p, u=math.hypot(p.u, of_gravity), dof=None) if p.u and group_name(p.name) == "accel.scale" else p
+            for p in parameters
+        )
     unsteady = {p.name for p in parameters if calibration.outcome.is_unsteady(group_name(p.name))}
     return judge_parameters(limits, occasion, parameters, unobservable, unsteady)
 
