@@ -168,6 +168,7 @@ def test_a_temperature_that_stays_the_same_leaves_sizes_of_its_groups_as_usual(s
     """Their sizes, on which nothing depends, were integrated over the prior: 1,792 points, which did not suffice."""
     _, observations = warming(seed, "25", {}, 0.0)
     integral = joint(observations).integral
+    assert integral is not None
     assert integral.points < 100
     assert not is_poorly_sampled(integral)
 
