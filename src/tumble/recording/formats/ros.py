@@ -81,7 +81,7 @@ def _bytes_of_chunks(path: Path) -> int:
 def _message(path: Path, origin: int, topic: str, kind: str, count: int) -> Message:
     columns = tuple(_FIELDS[kind])
     if kind == _TEMPERATURE:  # named after the kind of sensor in the topic's name
-        sensor, _ = thermometer(re.findall("[a-z]+", topic.lower())) or ("", "")
+        sensor = thermometer(re.findall("[a-z]+", topic.lower()))
         columns = (f"{sensor}_temperature",) if sensor else columns
     head = next(_tables(islice(_readings(path, origin, topic), _FIRST_ROWS), columns))
     present = [n for n in columns if kind != _IMU or head.select(f"{n[:-1]}{a}" for a in AXES).to_numpy().any()]
