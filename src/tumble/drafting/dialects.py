@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import json
 import re
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -96,28 +95,17 @@ _SENTENCE_NAMES = {
 }
 """Columns of VectorNav's sentences. Source: reference of the VN-100, asynchronous output."""
 
-_SENTENCE = re.compile(r"\s*([$#%])((\w+),[^*]*)\*([0-9A-Fa-f]{2}|[0-9A-Fa-f]{8})\s*")
-_NOVATEL_RAW = re.compile("RAWIMUS?X?A")
-_RAW_INCREMENTS = ("GPS time [s]", *(f"{kind} {axis} [count]" for kind in ("accel", "gyro") for axis in "xyz"))
+_SENTENCE = re.compile(r"\s*\$((\w+),[^*]*)\*([0-9A-Fa-f]{2})\s*")
 
 
 def sentence(line: str) -> ParsedLine | None:
-    """Parse a sentence with a checksum, `$VNYMR,…*6D` or NovAtel's `%RAWIMUSXA,…;…*a5db8c7b`; None if damaged."""
+    """Parse a sentence with a checksum, `$VNYMR,…*6D`; None if damaged."""
     match = _SENTENCE.fullmatch(line)
-    if match is None:
+    if match is None or int(match[3], 16) != reduce(xor, match[1].encode(), 0):
         return None
-    mark, text, kind, check = match.groups()
-    body = text.encode()
-    if int(check, 16) != (reduce(xor, body, 0) if mark == "$" else ~zlib.crc32(body, 0xFFFFFFFF) & 0xFFFFFFFF):
-        return None
-    names, values = _SENTENCE_NAMES.get(kind, ()), re.split("[,;]", text)[1:]
-    if _NOVATEL_RAW.fullmatch(kind) and len(values) >= 8:  # z, −y, x of accelerometers and then of gyros
-        seconds, _, *increments = values[-8:]
-        x, minus_y, z = (increments[at::3] for at in (2, 1, 0))
-        y = [value.removeprefix("-") if value.startswith("-") else f"-{value}" for value in minus_y]
-        names, values = _RAW_INCREMENTS, [seconds, x[0], y[0], z[0], x[1], y[1], z[1]]
+    kind, names, values = match[2], _SENTENCE_NAMES.get(match[2], ()), match[1].split(",")[1:]
     is_row = len(values) >= _FEWEST_NUMBERS and len(names) in (0, len(values))
-    return (f" {mark}{kind}", names, values) if is_row else None
+    return (f" ${kind}", names, values) if is_row else None
 
 
 def json_object(line: str) -> ParsedLine | None:

@@ -53,11 +53,6 @@ class Draft:
         return bool(self.times.rivals) and not self.times.stamped
 
     @property
-    def guessed(self) -> bool:
-        """Whether a unit or the times are a guess."""
-        return bool(self.times.rivals) or any(sensors.unit is None for sensors in self.triads.values())
-
-    @property
     def files(self) -> tuple[Path, ...]:
         """Paths of the files of the log."""
         file = self.log["file"]

@@ -24,7 +24,7 @@ from tumble.drafting.columns import identify_log
 from tumble.drafting.conclusions import complete_draft
 from tumble.drafting.containers import check_format, files_of, unzipped
 from tumble.drafting.draft import Draft, session_text
-from tumble.drafting.foreign_log import HEAD_ROWS, SAMPLE_ROWS, ForeignLog
+from tumble.drafting.foreign_log import HEAD_ROWS, ForeignLog
 from tumble.drafting.repairs import repair_log
 from tumble.drafting.sensors_apart import CORE_MOTION, log_of_recording
 from tumble.errors import InputError, LogError, did_you_mean
@@ -34,20 +34,17 @@ from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND,
 from tumble.recording.columns.scales import resolution_in_deg_s
 from tumble.recording.formats import PX4_CORRECTED, is_recording
 from tumble.recording.log import Log
-from tumble.recording.readers import source_of
-from tumble.recording.rows.gaps import is_reading
 from tumble.recording.session import USUAL_RATE_U, AutopilotSensor, sensors_content
 from tumble.recording.session.log_tables import RAW
 from tumble.recording.session_file import SESSION_FILE
 from tumble.run.observed import Progress
-from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TEMPERATURE_UNITS
+from tumble.units import ACCEL_UNITS, GYRO_UNITS, TEMPERATURE_UNITS
 
 _FAST_QUANTILE = 0.99  # of the magnitudes of the gyros, without single outliers
 _MEAN_SECONDS, _FEWEST_MEANS, _GRAVITY_SHARE = 2.0, 3, 0.4
 """Duration of means, s, their least number, and the share of the readings that they keep if these contain gravity."""
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": (15e-6, 150e-6)}
 """Magnetic fields on Earth, with iron nearby."""
-_SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEGREE)}
 _PLAUSIBLE_TEMPERATURES = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # median of a recording
 _CORRECTED = {
     "accelerometer_m_s2[0]": PX4_CORRECTED,
@@ -216,8 +213,6 @@ def drafted_log(
     if ACCEL not in draft.triads:
         return draft, faults
     draft = _with_apple_sign(draft)
-    if draft.guessed:
-        draft = draft.with_log([_row_remark(draft)])
     return draft, faults
 
 
@@ -311,29 +306,6 @@ def _with_apple_sign(draft: Draft) -> Draft:
     table = {"columns": accel["columns"], "unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
     remark = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"
     return draft.with_log([remark], accel=table)
-
-
-def _row_remark(draft: Draft) -> str:
-    """Return the first complete row of the log in words, as written and in units."""
-    log = draft.session().log
-    time = [] if log.time is None else [log.time]
-    sensors = {kind: channels for kind, channels in ((ACCEL, log.accel), (GYRO, log.gyro)) if channels is not None}
-    columns = [*time, *(c for channels in sensors.values() for c in channels.columns)]
-    source = source_of(log.files[0], log.dialect)
-    first, _ = next(source.tables(columns, log.time if log.clock else None))
-    table = first.select(columns).head(SAMPLE_ROWS).to_numpy()
-    whole = np.flatnonzero(is_reading(table).all(axis=1))
-    if not len(whole):
-        return f"no row of the first {len(table)} is whole"
-    row = dict(zip(columns, table[whole[0]].tolist(), strict=True))
-    parts = [f"time {row[name] * log.time_factor:.10g} s ({name}: {row[name]:.10g})" for name in time]
-    for kind, channels in sensors.items():
-        name, unit, one = _SENSORS[kind]
-        numbers = np.array([[row[c] for c in channels.columns]])
-        values = channels.to_si(numbers, np.array([1.0 / draft.rate]))[0] / one
-        written = ", ".join(f"{c}: {row[c]:.6g}" for c in channels.columns)
-        parts.append(f"{name} {', '.join(f'{v:.4g}' for v in values)} {unit} ({written})")
-    return f"row {whole[0] + 1} as it is read: {'; '.join(parts)}"
 
 
 def _temperature_table(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:

@@ -1,5 +1,5 @@
-"""Repaired copies of logs that a session file cannot describe: 16-bit numbers read as unsigned, times in ticks,
-intervals or seconds and nanoseconds, counters that overflow, rows that are no samples, and successive positions."""
+"""Repaired copies of logs that a session file cannot describe: times in ticks, intervals or seconds and nanoseconds,
+counters that overflow, rows that are no samples, and successive positions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, count_
 from tumble.drafting.times import Stamps, grows_mostly, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, time_unit
+from tumble.recording.columns.names import ACCEL, MAGNETOMETER, time_unit
 from tumble.recording.formats import TIME
 from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import GAP_STEP
@@ -51,7 +51,6 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
         return repair_log(_copy(log, folder, [stamps.column], [_newest_last(stamps)]), folder, rate)
     repairs = _leave_out_other_rows(log)
     time, in_seconds, time_repairs = _repair_time(log, rate)
-    unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and _is_wrapped(log.read(triads[kind].columns))]
     parts, why = None, ""
     untouched = len(log.files) == 1 and not (repairs or time_repairs) and rate is None
     if untouched and stamps is not None and not stamps.clock and len(stamps.values) < LONGEST:
@@ -60,13 +59,7 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
         if parts is not None and len(parts) == 1:
             why = f"time: the clock starts anew: rows {parts[0][0] + 1} to {parts[0][1]} are taken"
     if parts is None:
-        parts, why = _successive_positions(log, unsigned=ACCEL in unsigned)
-    if unsigned:
-        kinds = " and ".join({ACCEL: "accelerometers", GYRO: "gyros"}[kind] for kind in unsigned)
-        remark = f"{kinds}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due"
-        columns = [c for kind in unsigned for c in triads[kind].columns]
-        signed = [pl.when(pl.col(c) >= 32768.0).then(pl.col(c) - 65536.0).otherwise(pl.col(c)) for c in columns]
-        repairs.append((remark, lambda rows: rows.with_columns(signed)))
+        parts, why = _successive_positions(log)
     repairs += time_repairs
     if not repairs and parts is None:
         return log
@@ -214,38 +207,17 @@ def nanoseconds_column(log: ForeignLog) -> str | None:
     return next((n for n in log.names if _NANO.search(n) and _NANO.sub("", n) == log.columns.time), None)
 
 
-def _is_wrapped(columns: Array) -> bool:
-    """Return whether integers (m, n) are signed 16-bit numbers read as unsigned, with hardly any in the middle."""
-    if not np.isfinite(columns).any():
-        return False
-    low, high = np.nanmin(columns), np.nanmax(columns)
-    if low < 0.0 or not 49152.0 < high < 65536.0 or not np.array_equal(columns, np.floor(columns), equal_nan=True):
-        return False
-    middle = (columns > 24576.0) & (columns < 40960.0)
-    return bool(middle.mean() < 0.02 and (columns < 24576.0).any() and (columns > 40960.0).mean() > 1e-3)
-
-
-def _signed(columns: Array) -> Array:
-    return np.where(columns >= 32768.0, columns - 65536.0, columns)
-
-
-def with_signs(columns: Array) -> Array:
-    """Return columns (m, n) with the sign restored in those of 16 bits that were read as unsigned."""
-    return np.column_stack([_signed(c) if _is_wrapped(c) else c for c in columns.T]) if columns.size else columns
-
-
 # -------------------- positions without turns between them --------------------
 
 
-def _successive_positions(log: ForeignLog, *, unsigned: bool) -> tuple[list[tuple[int, int]] | None, str]:
+def _successive_positions(log: ForeignLog) -> tuple[list[tuple[int, int]] | None, str]:
     """Return the ranges of rows of positions without turns between them, and a remark; None for other logs.
 
-    Positions are named by a column, or the reading jumps between two still stretches. `unsigned`: accelerometers are
-    16-bit numbers read as unsigned. Raises InputError for positions of too few rows."""
+    Positions are named by a column, or the reading jumps between two still stretches.
+    Raises InputError for positions of too few rows."""
     if len(log.files) > 1 or ACCEL not in log.columns.triads:
         return None, ""
     accel = log.read(log.columns.triads[ACCEL].columns)
-    accel = _signed(accel) if unsigned else accel
     if np.isnan(accel).all(axis=0).any() or not 2 * _FEWEST_ROWS <= len(accel) < LONGEST:
         return None, ""
     label = next((n for n in log.cells if _LABEL.fullmatch(n.strip()) and n != log.columns.time), None)
