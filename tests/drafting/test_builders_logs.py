@@ -225,13 +225,6 @@ def newest_first_by_the_clock(folder: Path, rows: Array) -> Path:
     return table(folder / "log.csv", f"time,{NAMES}", back[:, 1:], times=dates(back, "%H:%M:%S.%f", 12))
 
 
-def week_and_seconds(folder: Path, rows: Array) -> Path:
-    """GPS time, over the end of a week."""
-    week, seconds = np.divmod(604760.0 + rows[:, 0], 604800.0)
-    times = [f"{2371 + w:.0f}:{s:.4f}" for w, s in zip(week, seconds, strict=True)]
-    return table(folder / "log.csv", f"gps_time,{NAMES}", rows[:, 1:], times=times)
-
-
 def in_minutes(folder: Path, rows: Array) -> Path:
     return table(folder / "log.csv", f"Time (min),{NAMES}", rows[:, 0] / 60.0, rows[:, 1:], digits=12)
 
@@ -258,7 +251,7 @@ LOGS: list[Callable[[Path, Array], Path]] = [
     units_below_names, iso_dates, times_of_day, without_times, header_after_comments, with_magnetometer_and_temperature,
     with_quaternions, two_imus, axes_in_another_order, behind_the_start_of_a_board, named_values, objects_of_json,
     rows_of_a_sensor_each, files_of_a_phone, with_lost_samples, of_a_buffer, whole_seconds, of_a_vehicle,
-    tuples_of_python, array_of_numpy, newest_first, newest_first_by_the_clock, week_and_seconds, in_minutes,
+    tuples_of_python, array_of_numpy, newest_first, newest_first_by_the_clock, in_minutes,
     in_hours_without_a_unit, a_time_for_each_sensor,
 ]  # fmt: skip
 

@@ -494,7 +494,6 @@ READ: dict[str, tuple[p.Write, str, str | None, str | None]] = {
     "names without a sensor, z first": (p.unnamed_axes_in_another_order, "by their numbers (a guess)", None, None),
     "RIDI": (p.ridi, "gravity.txt, linacce.txt, orientation.txt", None, None),
     "Sensor Logger": (p.sensor_logger, "TotalAcceleration.csv and Gyroscope.csv", None, None),
-    "GnssLogger": (p.gnss_logger, "one log at the times of the gyros", "m/s^2", "rad/s"),
     "phyphox, its archive": (p.phyphox_archive, "device.csv has no rows of readings", "m/s^2", "rad/s"),
     "SparkFun": (p.sparkfun, "names before the numbers (Acc_x [mg],", "mg", "deg/s"),
     "Adafruit": (p.adafruit, "several lines a sample (Acceleration X", "m/s^2", "rad/s"),

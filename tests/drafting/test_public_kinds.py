@@ -116,14 +116,6 @@ def test_names_before_the_values_below_boot_text(rows: Array, tmp_path: Path) ->
     assert check_read(tmp_path / "s", tmp_path / "log.txt", rows) == ""
 
 
-@pytest.mark.parametrize("name", ["delta_ms", "t"])
-def test_a_column_of_intervals_by_its_name_or_its_numbers(name: str, rows: Array, tmp_path: Path) -> None:
-    intervals = np.rint(1e3 * np.diff(rows[:, 0], prepend=0.0)) + np.resize([-1.0, 1.0, 0.0, 0.0, 0.0], len(rows))
-    table = np.column_stack([intervals, rows[:, 1:]])
-    log = text(tmp_path / "log.csv", NAMES.replace("t", name, 1), table)
-    assert check_read(tmp_path / "s", log, rows) == ""
-
-
 def test_a_clock_that_grows_once_is_not_used(rows: Array, tmp_path: Path) -> None:
     """Seconds since 1970 in single precision."""
     table = np.column_stack([np.float32(1.7e9 + rows[:, 0]).astype(float), rows[:, 1:]])
@@ -396,13 +388,3 @@ def test_motion_about_one_attitude_determines_no_zero_of_accelerometers(tmp_path
     log = text(tmp_path / "log.csv", NAMES, np.column_stack([0.01 * np.arange(2800), accel, gyro]))
     new_session(tmp_path / "s", log)
     assert read_session(tmp_path / "s").log.accel.unit_name == "m/s^2"
-
-
-def test_files_of_a_row_each_are_one_log(rows: Array, tmp_path: Path) -> None:
-    """As the oxts/data of KITTI."""
-    (tmp_path / "data").mkdir()
-    for k, row in enumerate(rows[:1500]):
-        (tmp_path / "data" / f"{k:010d}.txt").write_text(" ".join(f"{x:.8g}" for x in row), encoding="ascii")
-    draft, _ = new_session(tmp_path / "s", tmp_path / "data")
-    assert draft.log["accel"]["columns"] == ["2", "3", "4"]
-    assert draft.rate == pytest.approx(50.0, rel=1e-3)

@@ -16,12 +16,12 @@ import polars as pl
 
 from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is_text
 from tumble.drafting.dialects import copy_as_tables
-from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, StatedColumns, count_samples
+from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, StatedColumns
 from tumble.drafting.repairs import nanoseconds_column
 from tumble.drafting.sensors_apart import are_sensors_apart, join_sensors
 from tumble.drafting.times import grows_mostly, times_of_column
 from tumble.errors import InputError
-from tumble.files import OutputFolder, whole_file
+from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
 from tumble.recording.columns.numbers import columns_by_data, grows, guess_remarks, time_by_data
 from tumble.recording.log_source import readable
@@ -29,7 +29,6 @@ from tumble.recording.readers import ENDINGS, source_of
 from tumble.recording.text.dialect import COUNTS, LINE_BYTES, SEEN_BYTES, Dialect, dialect_of, head_lines, is_clock
 from tumble.recording.text.pieces import opened
 
-_FEWEST_FILES, _LONGEST_ROW = 50, 4096  # number of files with one row each; bytes
 _GROWING_SHARE = 0.9  # of the steps of stamps, if these are the times of rows
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
 _NOTHING: Mapping[str, Any] = MappingProxyType({})
@@ -47,7 +46,7 @@ def identify_log(
     errors: list[NoLogError] = []
     omitted: tuple[str, ...] = ()
     # text without rows, such as the metadata of a phone, is left out
-    for file in _joined_rows(files, folder):
+    for file in files:
         try:
             logs += [log.with_stated(stated, units) for log in _logs_in(file, folder)]
         except NoLogError as error:
@@ -83,18 +82,6 @@ def identify_log(
     kept = {path: source for log in logs for path, source in log.kept.items()}
     several = (f"{len(all_files)} files, each a recording of its own",) if len(all_files) > 1 else ()
     return replace(first, files=all_files, remarks=(*first.remarks, *several, *omitted), kept=kept)
-
-
-def _joined_rows(files: Sequence[Path], folder: OutputFolder) -> Sequence[Path]:
-    """Join many files of one row each, such as oxts/data of KITTI; return other files unchanged."""
-    if len(files) < _FEWEST_FILES or any(file.stat().st_size > _LONGEST_ROW for file in files):
-        return files
-    rows = [file.read_bytes().strip() for file in files]
-    if any(not row or b"\n" in row for row in rows):
-        return files
-    with whole_file(folder.new_file("log.txt")) as temporary:
-        temporary.write_bytes(b"\n".join(rows) + b"\n")
-    return [folder.written[-1]]
 
 
 def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
@@ -167,7 +154,6 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
     if len(free) < 3 or (accel and GYRO in named.triads):
         return log
     numbers = log.read([*accel, *free])
-    numbers = numbers[: count_samples(numbers)]
     numbers = numbers[np.isfinite(numbers).any(axis=1)]
     table = np.full((len(numbers), len(names)), np.nan)
     table[:, [names.index(name) for name in (*accel, *free)]] = numbers

@@ -32,7 +32,7 @@ from typing import IO, Any
 
 from tumble.errors import InputError
 from tumble.files import OutputFolder, plain_name, whole_file
-from tumble.recording.columns.names import ACCEL, GYRO, SENSOR_WORDS, columns_by_name
+from tumble.recording.columns.names import ACCEL, SENSOR_WORDS
 from tumble.recording.log_source import readable
 from tumble.recording.text.dialect import Dialect, dialect_of, encoding_of, is_clock
 from tumble.recording.text.pieces import opened
@@ -272,27 +272,8 @@ def ended_rows(lines: Sequence[str]) -> TextForm | None:
 
 # -------------------- a line for each sensor --------------------
 
-_COMMENT = re.compile(r"^[#%\s]*(?:[^'#%]*')?")
 _UNNAMED = ("time", "x", "y", "z")
 _IMU = re.compile(r"imu\d?", re.IGNORECASE)
-
-
-def rows_named_in_comments(lines: Sequence[str]) -> TextForm | None:
-    """Return the form of rows that begin with a word whose columns are named in a comment.
-
-    Examples are `# UncalAccel,utcTimeMillis,…` and `% ACCE data: 'ACCE;AppTimestamp(s);…'`."""
-    comments = [_COMMENT.sub("", line).rstrip("' ") for line in lines if line.startswith(("#", "%"))]
-    rows = [line for line in lines if not line.startswith(("#", "%"))]
-    delimiter = max(",;", key=lambda mark: sum(mark in line for line in rows))
-    words = {line.partition(delimiter)[0] for line in rows}
-    named = {word: names for word, *names in (line.split(delimiter) for line in comments) if word in words}
-    kinds = {word: names for word, names in named.items() if {ACCEL, GYRO} & {*columns_by_name(names).triads}}
-
-    def rows_of(lines: Iterable[str]) -> Rows:
-        partitioned = (line[:_LONGEST_LINE].partition(delimiter) for line in lines)
-        return ((word, rest.split(delimiter)) for word, _, rest in partitioned if word in kinds)
-
-    return TextForm(rows=rows_of, names=kinds) if len(kinds) >= 2 else None
 
 
 def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
@@ -347,8 +328,7 @@ def form_of(lines: Sequence[str]) -> TextForm | None:
     for rows with a column that names a sensor."""
     last = lines[-_SOME_LINES:]
     return (
-        rows_named_in_comments(lines)
-        or uniform_lines(last, sentence, "sentences")
+        uniform_lines(last, sentence, "sentences")
         or uniform_lines(last, json_object, "objects of JSON")
         or (samples_of_several_lines(last) and samples_of_several_lines(lines[:_SOME_LINES]))  # from their first line
         or uniform_lines(last, named_values, "names before the numbers")

@@ -41,7 +41,6 @@ _FILTERED = re.compile(r"grav|(user|free|linear)_?acc(?!.*cov)|\blacc", re.IGNOR
 _GRAVITY_TOLERANCE = 0.1  # of gravity
 _FEWEST_ROWS = 50
 _SHORTEST_SESSION = 4 * USUAL.rest  # s, the time of four rests; fewer determine nothing
-_FILLING = 50  # least number of identical rows at the end of a log that are no samples
 
 StatedColumns = Mapping[str, Sequence[str]]
 """Columns by role: three for "accel" and for "gyro", one for "time"."""
@@ -254,12 +253,3 @@ class ForeignLog:
             remedy = "state which they are (--accel N,N,N, names or numbers from 1)"
         kind = GyrosAloneError if GYRO in triads else InputError
         raise kind(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
-
-
-def count_samples(table: Array) -> int:
-    """Return the number of rows (m, n) before the identical or empty ones with which a logger fills its memory."""
-    if not len(table):
-        return 0
-    alike = ((table == table[-1]) | ~np.isfinite(table)).all(axis=1)
-    last = int(np.flatnonzero(~alike)[-1]) + 1 if not alike.all() else len(table)
-    return last if len(table) - last >= _FILLING else len(table)

@@ -1,5 +1,5 @@
-"""Repaired copies of logs that a session file cannot describe: times in ticks, intervals or seconds and nanoseconds,
-counters that overflow, rows that are no samples, and successive positions."""
+"""Repaired copies of logs that a session file cannot describe: times in ticks or seconds and nanoseconds, counters
+that overflow, rows that are no samples, and successive positions."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, count_samples
-from tumble.drafting.times import Stamps, grows_mostly, overflow_of, recordings_of, times_of_column
+from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog
+from tumble.drafting.times import Stamps, grows_mostly, overflow_of, recordings_of
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, MAGNETOMETER, time_unit
+from tumble.recording.columns.names import ACCEL, MAGNETOMETER
 from tumble.recording.formats import TIME
 from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import GAP_STEP
 from tumble.recording.rows.timed import past_midnight
-from tumble.units import TIME_UNITS, Array
 
 _XSENS_TICK = 1e-4  # s, of SampleTimeFine
 _NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
@@ -115,52 +114,31 @@ def _newest_last(stamps: Stamps) -> Repair:
 
 
 def _leave_out_other_rows(log: ForeignLog) -> list[Repair]:
-    """Leave out rows that are no samples: memory filled in advance after the last sample, and rows of other sensors.
+    """Leave out rows that are no samples but those of other sensors.
 
     A few rows without readings are kept as lost samples if the stamps have a gap there."""
-    repairs: list[Repair] = []
     sensors = [c for kind, triad in log.columns.triads.items() if kind != MAGNETOMETER for c in triad.columns]
-    table, one = log.read(sensors), len(log.files) == 1
-    filled = len(table) > 0 and all(len(set(three)) == 1 for three in np.nan_to_num(table[-1]).reshape(-1, 3).tolist())
-    samples = count_samples(table) if filled and one and len(table) < LONGEST else len(table)
-    if samples < len(table):
-        remark = f"rows: the last {len(table) - samples} are all alike and no samples: left out"
-        repairs.append((remark, lambda rows: rows.head(samples)))
-    whole = np.asarray(np.isfinite(table[:samples]).mean(axis=1) >= _READ_SHARE)
+    whole = np.asarray(np.isfinite(log.read(sensors)).mean(axis=1) >= _READ_SHARE)
     blank = int(np.count_nonzero(~whole))
-    are_others = blank > _BLANK_SHARE * samples
-    if one and blank and not are_others:
+    are_others = blank > _BLANK_SHARE * len(whole)
+    if len(log.files) == 1 and blank and not are_others:
         are_others = not whole[0]
         stamps = log.stamps()
-        time = np.empty(0) if stamps is None else stamps.values[:samples]
-        if len(time) == samples and whole[1:].any() and np.isfinite(time[~whole]).any():  # message lines have no time
+        time = np.empty(0) if stamps is None else stamps.values
+        if len(time) == len(whole) and whole[1:].any() and np.isfinite(time[~whole]).any():  # messages have no time
             steps, across = np.diff(time[whole]), np.diff(np.flatnonzero(whole)) > 1
             are_others |= bool(across.any() and np.median(steps[across]) < GAP_STEP * np.median(steps))
-    if are_others:
-        remark = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
-        has_readings = pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE
-        repairs.append((remark, lambda rows: rows.filter(has_readings)))
-    return repairs
+    if not are_others:
+        return []
+    remark = f"rows: {blank} of {len(whole)} have no readings of these sensors, as rows of others: left out"
+    return [(remark, lambda rows: rows.filter(pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE))]
 
 
 def _repair_time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Repair]]:
     """Return the time columns, whether the repairs replace them by a column TIME in s, and the repairs."""
-    column, interval, repairs = log.columns.time, log.columns.interval, list[Repair]()
-    if rate is not None:
+    column, repairs = log.columns.time, list[Repair]()
+    if column is None or rate is not None:
         return [] if column is None else [column], False, []
-    if column is not None and interval is None and _are_intervals(log.read([column])[:, 0]):
-        column, interval = None, column
-    if column is None:
-        steps = np.empty(0) if interval is None or len(log.files) > 1 else log.read([interval])[:, 0]
-        steps = steps[np.isfinite(steps)]
-        times = times_of_column(Stamps(column=interval or "", values=np.cumsum(steps), unit=time_unit(interval or "")))
-        if interval is None or times is None or (steps < 0.0).any():
-            return [], False, []
-        unit = times.keys.get("time_unit", "s")
-        remark = f"time: none, but column {interval!r} has the intervals between samples, in {unit}: added up"
-        added = pl.col(interval).fill_nan(0.0).cum_sum()
-        added_up = (remark, lambda rows: _in_seconds(rows.with_columns(added), interval, TIME_UNITS[unit]))
-        return [interval], True, [added_up]
     nanoseconds = nanoseconds_column(log)
     if nanoseconds is not None:
         remark = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"
@@ -178,13 +156,6 @@ def _repair_time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, 
         remark = f"time: column {column!r} in ticks of {tick:g} s, made seconds"
         repairs.append((remark, lambda rows: _in_seconds(rows, column, tick)))
     return [column], tick is not None, repairs
-
-
-def _are_intervals(stamps: Array) -> bool:
-    """Return whether stamps are intervals between samples: positive, changing, and of one size."""
-    stamps = stamps[np.isfinite(stamps)]
-    low, median, high = np.quantile(stamps, (0.05, 0.5, 0.95)) if len(stamps) else (0.0, 0.0, 0.0)
-    return bool(0.3 * median < low < high < 3.0 * median and not grows_mostly(stamps))
 
 
 def _in_seconds(rows: pl.DataFrame, column: str, factor: float, nanoseconds: str | None = None) -> pl.DataFrame:

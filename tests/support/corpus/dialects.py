@@ -580,8 +580,7 @@ def several_at_once(log: pl.DataFrame, folder: Path) -> str:
 
 
 def merged_topics(log: pl.DataFrame, folder: Path) -> str:
-    """Two topics in one table: seconds and nanoseconds, rows of a receiver between, units in words, and what the memory
-    was filled with before."""
+    """Two topics in one table: seconds and nanoseconds, rows of a receiver between, and units in words."""
     names = ["header.stamp.secs", "header.stamp.nsecs", "latitude"]
     names += [f"accel_{a}_m_per_s2" for a in "xyz"] + [f"gyro_{a}_deg_per_s" for a in "xyz"]
     rows = [names]
@@ -590,5 +589,4 @@ def merged_topics(log: pl.DataFrame, folder: Path) -> str:
         stamp = [str(ns // 10**9), str(ns % 10**9)]
         rows.append([*stamp, "", *(f"{v:.9g}" for v in read)])
         rows += [[*stamp, "56.84", *[""] * 6]] * (k % 20 == 10)
-    rows += [["0"] * len(names)] * 200
     return written(folder / "merged.csv", rows)

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
-INTERVAL, OTHER = "interval", "other"
-"""Kinds of columns: times since the previous sample, and quantities that cannot be calibrated."""
+OTHER = "other"
+"""Kind of columns of quantities that cannot be calibrated."""
 SENSOR_KINDS = (ACCEL, GYRO, MAGNETOMETER)
 
 IDENTIFYING_WEIGHT = 4.0
@@ -187,8 +187,8 @@ class Columns:
     """Columns of a table by kind: time, a triad of each kind of sensor, and thermometers as in [log.temperature].
 
     `time_unit` is None if the name has no unit; `others` are further triads and thermometers, `times` all columns named
-    as times, `interval` that of times since the previous sample. `ambiguous`: other columns are nearly as likely;
-    `turning`: gyros that were identified by numbers turn the vector of the accelerometers."""
+    as times. `ambiguous`: other columns are nearly as likely; `turning`: gyros that were identified by numbers turn the
+    vector of the accelerometers."""
 
     time: str | None
     time_unit: str | None
@@ -196,7 +196,6 @@ class Columns:
     temperatures: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
     times: tuple[str, ...] = ()
-    interval: str | None = None
     ambiguous: bool = False
     turning: bool = False
 
@@ -240,11 +239,9 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         if kind not in triads and None not in directed:
             triads[kind] = _triad(kind, [name for name in directed if name is not None])
     sensors = {column for triad in triads.values() for column in triad.columns}
-    free = [name for name in names if name and name not in sensors]
-    interval = _best(INTERVAL, free)
-    times = [name for name in free if name not in ("T", interval) and _score(TIME_KIND, name)]
-    time = _best(TIME_KIND, times)
-    thermometers = {name: kind for name, kind in thermometers.items() if name not in (time, interval)}
+    times = [name for name in names if name not in ("", "T", *sensors) and _score(TIME_KIND, name)]
+    time = max(times, key=lambda name: _score(TIME_KIND, name), default=None)
+    thermometers = {name: kind for name, kind in thermometers.items() if name != time}
     temperatures = _one_per_kind(thermometers, gyros=GYRO in triads)
     return Columns(
         time=time,
@@ -253,7 +250,6 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         temperatures=temperatures,
         others=(*others, *(name for name in thermometers if name not in temperatures)),
         times=tuple(times),
-        interval=interval,
     )
 
 
@@ -265,12 +261,6 @@ def _triad(kind: str, columns: Sequence[str]) -> Sensors:
 def _score(kind: str, name: str) -> float:
     words, unit = _split(name)
     return score(kind, "_".join(words), unit)
-
-
-def _best(kind: str, names: Sequence[str]) -> str | None:
-    """Return the first name with the largest score of a kind; None if all scores are 0."""
-    best = max(names, key=lambda name: _score(kind, name), default=None)
-    return best if best is not None and _score(kind, best) else None
 
 
 def time_unit(name: str) -> str | None:
@@ -395,6 +385,6 @@ def _one_per_kind(thermometers: Mapping[str, str], *, gyros: bool) -> tuple[str,
     """Return thermometers, given with their kinds, as in [log.temperature]: one for all sensors, or one per kind.
 
     A kind of sensor without a thermometer shares that of the other kind, else one without a kind."""
-    first = {kind: name for name, kind in reversed(thermometers.items())}
+    first = {kind: name for name, kind in reversed(list(thermometers.items()))}
     taken = [first.get(kind, first.get(other, first.get(""))) for kind, other in ((ACCEL, GYRO), (GYRO, ACCEL))]
     return tuple(dict.fromkeys(name for name in taken[: 1 + gyros] if name is not None))
