@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import polars as pl
@@ -115,20 +115,19 @@ class LogRows:
     numbers, time
         Numbers (m,) of the rows, from 1, and their times (m,), s.
     values
-        Numbers of accelerometers (m, na), gyros (m, ng), magnetometer (m, 3) and thermometers (m, T), as in the file.
+        Numbers (m, columns) of accelerometers, gyros, magnetometer and thermometers, as in the file.
     unread
         Unreadable parts by row number.
     """
 
     numbers: IntArray
     time: Array
-    values: tuple[Array, ...]
+    values: Array
     unread: Mapping[int, Unread] = field(default_factory=dict)
 
     def part(self, rows: slice | BoolArray) -> LogRows:
         """Return a part of the rows."""
-        values = tuple(v[rows] for v in self.values)
-        return LogRows(numbers=self.numbers[rows], time=self.time[rows], values=values, unread=self.unread)
+        return replace(self, numbers=self.numbers[rows], time=self.time[rows], values=self.values[rows])
 
     def times_followed_by(self, other: LogRows) -> tuple[IntArray, Array]:
         """Return numbers and times of these rows and of the rows after them."""
@@ -137,15 +136,15 @@ class LogRows:
     def followed_by(self, other: LogRows) -> LogRows:
         """Return these rows and the rows after them."""
         numbers, time = self.times_followed_by(other)
-        values = tuple(np.concatenate(pair) for pair in zip(self.values, other.values, strict=True))
+        values = np.concatenate([self.values, other.values])
         unread = {**{n: u for n, u in self.unread.items() if n in self.numbers}, **other.unread}
         return LogRows(numbers=numbers, time=time, values=values, unread=unread)
 
     def lost(self) -> BoolArray:
         """Return which rows have a number that is no reading."""
-        if all(v.min() >= -_LARGEST and v.max() <= _LARGEST for v in self.values if v.size):
+        if self.values.min(initial=0.0) >= -_LARGEST and self.values.max(initial=0.0) <= _LARGEST:
             return np.zeros(len(self.time), dtype=bool)
-        return np.asarray(~is_reading(np.hstack(self.values)).all(axis=1))
+        return np.asarray(~is_reading(self.values).all(axis=1))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -191,7 +190,7 @@ class Bridge:
     count: int = 0
     first: Gap | None = None
 
-    def samples(self, stream: Iterator[LogRows]) -> Iterator[tuple[Array, Array, tuple[Array, ...]]]:
+    def samples(self, stream: Iterator[LogRows]) -> Iterator[tuple[Array, Array, Array]]:
         """Yield times and intervals, s, and numbers of all samples, interpolated if lost."""
         behind, start = 0, 0.0
         for new in stream:
@@ -237,7 +236,7 @@ class Bridge:
         gap = Gap(file=self.file, row=row, time=time, samples=samples, what=what[0], stop=stop, integrable=False)
         self.gaps.append(gap)
 
-    def _repaired(self, rows: LogRows, lost: BoolArray) -> tuple[Array, Array, tuple[Array, ...]]:
+    def _repaired(self, rows: LogRows, lost: BoolArray) -> tuple[Array, Array, Array]:
         """Return times, intervals and numbers of the samples of rows, with short gaps filled and long ones left out.
 
         The last row must be sound, as must any row passed on before. All returned numbers are finite."""
@@ -259,16 +258,13 @@ class Bridge:
                 self._report(rows, place, time, start, stop)
                 kept[start:stop] = stop - start <= _BRIDGED_SAMPLES
             after_long = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1) + 1
-            repaired = []  # columns of all samples, linear in time between finite numbers
-            for numbers in rows.values:
-                out = np.full((len(time), numbers.shape[1]), np.nan)
-                out[place] = numbers
-                for column in out.T:
-                    bad = ~is_reading(column)
-                    if bad.any():
-                        column[bad] = np.interp(time[bad], time[~bad], column[~bad])
-                repaired.append(out[kept][new:])
-            values, time = tuple(repaired), time[kept]
+            out = np.full((len(time), rows.values.shape[1]), np.nan, order="F")
+            out[place] = rows.values
+            for column in out.T:  # linear in time between finite numbers
+                bad = ~is_reading(column)
+                if bad.any():
+                    column[bad] = np.interp(time[bad], time[~bad], column[~bad])
+            values, time = out[kept][new:], time[kept]
             steps = np.diff(time)
         dt = steps if new else np.concatenate([[self.interval], steps])
         dt[slice(None) if self.spec.unstamped else after_long - new] = self.interval
@@ -307,7 +303,5 @@ class Bridge:
 
     def _not_finite(self, rows: LogRows) -> list[tuple[str, float]]:
         """Return columns with numbers that are not finite, with the first such number of each."""
-        numbers = np.hstack(rows.values)
-        bad = ~is_reading(numbers)
-        columns = [column for column in self.spec.columns if column != self.spec.time]
-        return [(columns[j], float(numbers[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))]
+        bad, names = ~is_reading(rows.values), self.spec.readings
+        return [(names[j], float(rows.values[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))]

@@ -1,7 +1,7 @@
 """Text files, decompressed and converted to UTF-8, in pieces of whole lines.
 
 Readings compress to a third or a tenth. A file that unpacks to a hundred times its size is no log and could fill memory
-or a disk: reading it ends there.
+or a disk: it is refused, before unpacking if it states its size.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import io
 import sys
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -23,26 +24,47 @@ SMALL_BYTES = 1 << 24
 
 _FIRST_PIECE_BYTES = 1 << 18
 _PIECE_BYTES = 1 << 24
+_HEADER_BYTES = 18  # longest header of a frame of Zstandard
+_DEFLATE_RATIO = 1032  # largest ratio of gzip; an archive that states a larger one was cut
 
 
 def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
     """Open a file for reading as UTF-8, decompressed according to its ending.
 
-    An archive that unpacks to too large a size raises LogError while it is read. Raises MissingExtraError for a file
-    compressed by Zstandard before Python 3.14 without the extra `formats`."""
+    Raises LogError for an archive that unpacks to too large a size, here or while it is read."""
+    ending = path.suffix.lower()
     stream: io.BufferedIOBase
-    if path.suffix.lower() == ".gz":
-        stream = io.BufferedReader(_Limited(gzip.GzipFile(path), zlib.error, path))
-    elif path.suffix.lower() == ".zst":
-        if sys.version_info >= (3, 14):
-            from compression import zstd
-        else:
-            with needs_extra(f"{path}: a file compressed by Zstandard", "formats", "backports"):
-                from backports import zstd
-        stream = io.BufferedReader(_Limited(zstd.ZstdFile(path), zstd.ZstdError, path))
+    if ending in (".gz", ".zst"):
+        packed, damaged, stated = _gzip(path) if ending == ".gz" else _zstandard(path)
+        check_unpacked(path, stated)
+        stream = io.BufferedReader(_Limited(packed, damaged, path))
     else:
         stream = path.open("rb")
     return stream if encoding == "utf-8" else _Recoded(stream, encoding)
+
+
+def _gzip(path: Path) -> tuple[Any, type[Exception], int]:
+    """Return a decompressing stream, its error, and the size stated by the last member, to 4 GB, 0 if it is cut."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(max(size - 4, 0))
+        last = int.from_bytes(file.read(4), "little")
+    return gzip.GzipFile(path), zlib.error, last if last <= _DEFLATE_RATIO * size else 0
+
+
+def _zstandard(path: Path) -> tuple[Any, type[Exception], int]:
+    """Return a decompressing stream, its error, and the size stated by the first frame, 0 without.
+
+    Raises MissingExtraError before Python 3.14 without the extra `formats`."""
+    if sys.version_info >= (3, 14):
+        from compression import zstd
+    else:
+        with needs_extra(f"{path}: a file compressed by Zstandard", "formats", "backports"):
+            from backports import zstd
+    stated = 0
+    with path.open("rb") as file, suppress(zstd.ZstdError):
+        stated = zstd.get_frame_info(file.read(_HEADER_BYTES)).decompressed_size or 0
+    return zstd.ZstdFile(path), zstd.ZstdError, stated
 
 
 class _Recoded(io.BufferedIOBase):
