@@ -45,6 +45,11 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
     for kind, sensors in triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
+    if log.instance:
+        time = [column for column in (log.columns.time, nanoseconds_column(log)) if column is not None]
+        ((column, value),) = log.instance.items()
+        repair = f"rows: those with {value:g} in column {column!r}, of one device", log.rows_of_instance
+        return repair_log(_copy(log, folder, [*time, column], [repair]), folder, rate)
     stamps = log.stamps()
     if stamps is not None and len(stamps.values) >= _FEWEST_ROWS and grows_mostly(-stamps.values):
         return repair_log(_copy(log, folder, [stamps.column], [_newest_last(stamps)]), folder, rate)
