@@ -6,8 +6,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import takewhile
-from operator import eq
 from pathlib import Path
 
 import numpy as np
@@ -60,14 +58,9 @@ def log_of_recording(
     own_temperatures = [m.temperatures for m in taken if m.temperatures]
     one_each = len(own_temperatures) == 2 and max(map(len, own_temperatures)) == 1
     temperatures = own_temperatures[0] + own_temperatures[1] if one_each else next(iter(own_temperatures), ())
-    separate = [] if temperatures else [m for m in candidates if m.thermometer]
-    thermometers = _nearest_thermometers(accel, gyro, separate)
     log = folder.new_file("log.parquet")
-    write_log(log, accel, gyro, thermometers)
+    write_log(log, accel, gyro)
     remarks = [f"{recording.name}: message {accel.name}, written to {log}"]
-    remarks += [f"temperature from {thermometer.name}, interpolated" for thermometer in thermometers]
-    unused = [m.name for m in separate if m not in thermometers]
-    remarks += [f"other thermometers, not used: {', '.join(unused)}"] if unused else []
     triads = accel.triads
     if gyro is not None and gyro is not accel:
         remarks.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
@@ -79,7 +72,7 @@ def log_of_recording(
         time=TIME if accel.timed else None,
         time_unit="s" if accel.timed else None,
         triads=triads,
-        temperatures=temperatures or tuple(t for m in thermometers for t in m.temperatures),
+        temperatures=temperatures,
     )
     imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
     doubts = tuple(dict.fromkeys(m.doubt for m in taken if m.doubt))
@@ -91,15 +84,6 @@ def _belong_together(accel: Message, gyro: Message) -> bool:
     instances = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
     same = not all(map(str.isdecimal, instances)) or instances[0] == instances[1]
     return accel.timed and gyro.timed and same
-
-
-def _nearest_thermometers(accel: Message, gyro: Message | None, separate: Sequence[Message]) -> list[Message]:
-    """Return one thermometer for each kind of sensor, or the one with the topic most like the accelerometers'."""
-    topic = accel.name.split("/")
-    nearest = sorted(separate, key=lambda m: -len(list(takewhile(bool, map(eq, m.name.split("/"), topic)))))
-    first = {m.temperatures: m for m in reversed(nearest)}
-    pair = [first[name] for kind in (ACCEL, GYRO) if (name := (f"{kind}_temperature",)) in first]
-    return pair if gyro is not None and len(pair) == 2 else nearest[:1]
 
 
 # -------------------- files of one kind of sensor each --------------------
