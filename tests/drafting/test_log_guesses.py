@@ -396,15 +396,6 @@ def test_of_several_times_that_is_taken_which_grows_from_row_to_row(
     assert "regular" not in draft.content["log"]
 
 
-def test_what_a_filter_has_left_without_gravity_is_said(tmp_path: Path) -> None:
-    rng = np.random.default_rng(6)
-    table = np.column_stack([0.01 * np.arange(2000), rng.normal(scale=0.7, size=(2000, 3)), rng.normal(size=(2000, 3))])
-    names = ["t", *(f"a{a}" for a in "xyz"), *(f"g{a}" for a in "xyz")]
-    pl.DataFrame(table, schema=names).write_csv(tmp_path / "log.csv")
-    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
-    assert any("gravity is not in them" in said for said in draft.remarks)
-
-
 @pytest.fixture(scope="module")
 def two_turns(tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
     """Three rests and two turns by hand, in SI, 50 samples per second."""
