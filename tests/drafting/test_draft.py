@@ -242,7 +242,7 @@ def test_magnetometers_are_offered_as_a_comment_that_works(handheld: pl.DataFram
             "T",
             -5200.0,
             None,
-            "temperature: T, about -5200, is left out, for it is in no unit that is known; to use it, convert it",
+            "temperature: T, about -5200, is left out, for it is in no unit that is known",
         ),
     ],
 )
