@@ -140,7 +140,7 @@ def test_thermometers_are_known_with_the_unit_of_their_name(name: str, unit: str
         ("gyro_temperature accel_temperature", "accel_temperature gyro_temperature"),
         ("chip_temp_C temp", "chip_temp_C"),
         ("temp gyro_temp", "gyro_temp"),
-        ("template tempo T_x T_y T_z", ""),
+        ("template tempo T_x T_y T_z T1_x", ""),
         ("temp_x temp_y temp_z", "temp_x"),
         ("T0 T1", "T0"),
         ("gyro_z_temp gyro_y_temp gyro_x_temp acc_temp", "acc_temp gyro_z_temp"),

@@ -128,7 +128,7 @@ CASES: dict[str, Case] = {
     "byte order mark": Case(write=d.named(d.NAMES, encoding="utf-8-sig"), said=(GOOD,)),
     "two thermometers": Case(
         write=d.with_thermometers,
-        said=("temperature: accel_temp_C in degC (from the name), gyro_temp [K] in K (from the name), accelerometers",),
+        said=("temperature: accel_temp_C in degC (from the name), gyro_temp [C] in degC (from the name), ",),
     ),
     "compressed": Case(write=d.compressed, said=("semicolons",)),
     # who writes it

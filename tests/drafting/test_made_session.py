@@ -115,7 +115,7 @@ def test_a_command_that_only_reads_leaves_a_session_of_other_options(logs: Path)
     before = {f: f.read_bytes() for f in folder.iterdir()}
     given = Given(serial="A", latitude=50.0)
     with session_of_log(logs / "flight-1.2.csv", given, Log.chunks, reads_only=True) as (temporary, said, _, _):
-        assert said == f"{folder} is of other options (--serial) or another version and stays; the log is read anew"
+        assert said == f"{folder} is of other options or another version (--serial) and stays; the log is read anew"
         assert read_session(temporary).device.serial == "A"
         assert temporary != folder
     assert {f: f.read_bytes() for f in folder.iterdir()} == before
@@ -136,6 +136,6 @@ def test_what_was_corrected_by_hand_is_used_and_never_replaced(logs: Path) -> No
     text = (folder / "session.toml").read_text(encoding="utf-8").replace("latitude_deg = 50.0", "latitude_deg = 51.0")
     (folder / "session.toml").write_text(text, encoding="utf-8")
     assert made(logs / "flight-1.2.csv")[1].endswith("before, corrected by hand")
-    with pytest.raises(InputError, match=r"found others \(--latitude\), .* corrected by hand; calibrate it as it is"):
+    with pytest.raises(InputError, match=r"found others \(latitude\), .* corrected by hand; calibrate it as it is"):
         made(logs / "flight-1.2.csv", Given(latitude=40.0))
     assert (folder / "session.toml").read_text(encoding="utf-8") == text

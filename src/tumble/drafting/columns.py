@@ -43,10 +43,10 @@ def identify_log(
 ) -> ForeignLog:
     """Return one log of text and Parquet files, with its columns identified.
 
-    `stated` and `units` are the user's statements by role and by kind of sensor; `instance` names one of several devices
-    in a table, by default the first. Files in one dialect whose columns
-    have no meaningful names are identified together, because one position is not enough to recognise sensors. Raises
-    InputError for files that are no logs, or are in different dialects."""
+    `stated` and `units` are the user's statements by role and by kind of sensor; `instance` names one of several
+    devices in a table, by default the first. Files in one dialect whose columns have no meaningful names are identified
+    together, because one position is not enough to recognise sensors. Raises InputError for files that are no logs, or
+    are in different dialects."""
     logs: list[ForeignLog] = []
     errors: list[NoLogError] = []
     omitted: tuple[str, ...] = ()

@@ -12,8 +12,8 @@ import numpy as np
 
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_text
 from tumble.drafting.draft import Draft
-from tumble.drafting.hypotheses import Evidence, Hypothesis, gather_evidence, ranked_hypotheses
 from tumble.drafting.foreign_log import linear_acceleration
+from tumble.drafting.hypotheses import Evidence, Hypothesis, gather_evidence, ranked_hypotheses
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO, WITHOUT_GRAVITY
 from tumble.recording.columns.scales import COUNTS_PER, COUNTS_PER_SI, SensorScale
@@ -108,22 +108,18 @@ def _doubts_of_units(
         scales = [h.accel if kind == ACCEL else h.gyro for h in rivals if kind in h.differs(best)]
         labels = dict.fromkeys(rival.label for rival in scales if rival is not None and rival.listed)
         others = " or ".join(list(labels)[:_MOST_RIVALS])
-        if (
-            log[kind]["unit"] == "count"
-            and "scale" not in log[kind]
-            and draft.rate_guessed
-            and best.profile is not None
-        ):
+        unscaled = log[kind]["unit"] == "count" and "scale" not in log[kind]
+        if unscaled and draft.rate_guessed and best.profile is not None:
             pairs = [(h.gyro.value, h.times.rate) for h in (best, *rivals) if h.gyro is not None and h.gyro.listed]
-            likeliest = {value: rate for value, rate in reversed(pairs)}  # rate of each scale
+            rate_of = dict(reversed(pairs))  # the likeliest of each scale
             values = list(dict.fromkeys(value for value, _ in pairs))[:_MOST_RIVALS]
-            fitting = ", ".join(f"{value:g} per deg/s at {likeliest[value]:g} Hz" for value in values)
+            fitting = ", ".join(f"{value:g} per deg/s at {rate_of[value]:g} Hz" for value in values)
             yield (
                 f"the rate of the samples is unknown, and with it the scale of the gyros' counts ({fitting} fit): "
                 f"{only}state --sample-rate"
             )
             return
-        if log[kind]["unit"] == "count" and "scale" not in log[kind]:
+        if unscaled:
             yield (
                 f"no turn determines the scale of the gyros' counts: {only}noise is given as if a count were 1 deg/s; "
                 "put the scale of the data sheet into [log.gyro]"

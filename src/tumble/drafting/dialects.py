@@ -77,7 +77,7 @@ def uniform_lines(lines: Sequence[str], parse: Callable[[str], ParsedLine | None
             row = ",".join(parsed[2]) if parsed is not None and matches else ""
             started |= matches
             if started:  # boot messages are above the first row
-                yield "", [row or line.replace(",", " ")]
+                yield "", [row or (line.replace(",", " ") if names else line)]
 
     listed = f" ({', '.join(names)})" if names else ""
     return TextForm(rows=rows, names={"": names}, title=f"{title}{kind}{listed}")
@@ -149,6 +149,11 @@ def row_behind_clock(line: str) -> ParsedLine | None:
     clock, rest = match.groups()
     delimiter = next((mark for mark in "\t;," if mark in rest), " ")
     return "", (), [f"{clock if rest[:1] in '+-.0123456789' else 'clock'}{delimiter}{rest}"]
+
+
+def row_before_semicolon(line: str) -> ParsedLine | None:
+    """Parse a row that ends with a semicolon, which does not separate its values."""
+    return ("", (), [line.rstrip("; \t")]) if line.count(";") == 1 and line.rstrip().endswith(";") else None
 
 
 # -------------------- names before the values --------------------
@@ -242,7 +247,7 @@ def _samples(lines: Iterable[str]) -> Iterator[tuple[dict[str, str], int]]:
         count += bool(values)
 
 
-# -------------------- marks between thousands, and at the ends of rows --------------------
+# -------------------- marks between thousands --------------------
 
 _THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
 _QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
@@ -258,16 +263,6 @@ def thousands(lines: Sequence[str]) -> TextForm | None:
         return None
     title = "marks between thousands, as in 1'000"
     return TextForm(rows=lambda lines: (("", [plain(line)]) for line in lines), title=title)
-
-
-def ended_rows(lines: Sequence[str]) -> TextForm | None:
-    """Return the form of rows that end with a semicolon, which does not separate their values."""
-    ended = sum(line.count(";") == 1 and line.rstrip().endswith(";") for line in lines)
-    if ended <= max(_ALIKE_SHARE * sum(bool(line.strip()) for line in lines), 1):
-        return None
-    return TextForm(
-        rows=lambda lines: (("", [line.rstrip("; \t")]) for line in lines), title="semicolons that end rows"
-    )
 
 
 # -------------------- a line for each sensor --------------------
@@ -335,7 +330,7 @@ def form_of(lines: Sequence[str]) -> TextForm | None:
         or uniform_lines(last, row_in_brackets, "rows in brackets")
         or uniform_lines(last, row_behind_clock, "rows behind the clock of a serial monitor")
         or thousands(last)
-        or ended_rows(last)
+        or uniform_lines(last, row_before_semicolon, "semicolons that end rows")
     )
 
 

@@ -53,8 +53,8 @@ class ForeignLog:
     """Files in one dialect, with identified columns.
 
     `keys` are the keys of [log] that describe the text, `preamble` the lines above the numbers that are neither names
-    nor units, `cells` the first rows by column, `remarks` and `doubts` sentences for the user, `instance` the column that
-    separates several devices in the rows, with the value of the one that is read, and `kept` the readings of all
+    nor units, `cells` the first rows by column, `remarks` and `doubts` sentences for the user, `instance` the column
+    that separates several devices in the rows, with the value of the one that is read, and `kept` the readings of all
     sensors, by files and columns."""
 
     files: tuple[Path, ...]

@@ -77,11 +77,11 @@ def session_of_log(
         if reads_only:
             with TemporaryDirectory(prefix=".tumble-", dir=log.parent) as temporary:
                 draft, faults = written_session(OutputFolder(Path(temporary)), log, given, progress)
-                state = f"{folder} is of other options{others} or another version and stays; the log is read anew"
+                state = f"{folder} is of other options or another version{others} and stays; the log is read anew"
                 yield Path(temporary), state, draft.remarks, faults
             return
         origin = (
-            f"{folder}: made anew, with other options{others} or by another version, in place of the session of serial "
+            f"{folder}: made anew, with other options or by another version{others}, in place of the session of serial "
             f"number {former!r}; "
         )
         if (folder / _RESULT).exists():

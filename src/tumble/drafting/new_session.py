@@ -9,7 +9,6 @@ number, place and programme are in no log; the user fills them in.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -35,14 +34,11 @@ from tumble.recording.columns.scales import resolution_in_deg_s
 from tumble.recording.formats import PX4_CORRECTED, is_recording
 from tumble.recording.log import Log
 from tumble.recording.session import USUAL_RATE_U, AutopilotSensor, sensors_content
-from tumble.recording.session.log_tables import RAW
 from tumble.recording.session_file import SESSION_FILE
 from tumble.run.observed import Progress
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, TEMPERATURE_UNITS
 
 _FAST_QUANTILE = 0.99  # of the magnitudes of the gyros, without single outliers
-_MEAN_SECONDS, _FEWEST_MEANS, _GRAVITY_SHARE = 2.0, 3, 0.4
-"""Duration of means, s, their least number, and the share of the readings that they keep if these contain gravity."""
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": (15e-6, 150e-6)}
 """Magnetic fields on Earth, with iron nearby."""
 _PLAUSIBLE_TEMPERATURES = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # median of a recording
@@ -251,17 +247,6 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     magnetometer, magnetometer_remarks = _magnetometer_table(log, columns.triads.get(MAGNETOMETER))
     rates = head[GYRO][np.isfinite(head[GYRO]).all(axis=1)] if GYRO in triads else np.empty((0, 3))
     whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in head.items()}
-    # means of accelerometers over two seconds keep gravity
-    force = head[ACCEL][np.isfinite(head[ACCEL]).all(axis=1)] if ACCEL in triads else np.empty((0, 3))
-    rows = max(int(_MEAN_SECONDS * times.rate), 2)
-    if (count := len(force) // rows) >= _FEWEST_MEANS:
-        means = np.linalg.norm(force[: count * rows].reshape(-1, rows, 3).mean(axis=1), axis=1)
-        share = float(np.median(means) / max(np.median(np.linalg.norm(force, axis=1)), 1e-300))
-        if share <= _GRAVITY_SHARE:
-            remarks.append(
-                f"accelerometers: at the mean over {_MEAN_SECONDS:g} s they read {share:.0%} of what they read at a "
-                "time: gravity is not in them; what a filter has left of the readings cannot be calibrated"
-            )
     return Draft(
         content={"format": 1, "device": {"serial": "unknown"}, "log": table},
         remarks=(*remarks, *magnetometer_remarks),
@@ -310,32 +295,28 @@ def _with_apple_sign(draft: Draft) -> Draft:
 
 
 def _temperature_table(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
-    """Return the table [log.temperature], None for raw numbers, and a remark.
+    """Return the table [log.temperature], None without a known unit, and a remark.
 
-    The unit is that of the name, or one in which the numbers are air temperatures; columns in several units are
-    described as raw numbers with their scales."""
-    listed, units, remarks = list(columns), list[str](), list[str]()
-    if empty := [column for column in columns if not len(log.readings(column))]:
-        return None, f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
+    The unit is that of the name, or one in which the numbers are air temperatures. Columns in another unit than the
+    first are left out."""
+    units, remarks = dict[str, str](), list[str]()
     for column in columns:
-        middle = float(np.median(log.readings(column)))
-        plausible = next((u for u, (low, high) in _PLAUSIBLE_TEMPERATURES.items() if low <= middle <= high), RAW)
-        named = temperature_unit(column)
-        units.append(named or plausible)
-        remarks.append(f"{column} in {units[-1]} ({'from the name' if named else 'by its numbers'})")
-        if units[-1] == RAW:
+        readings = log.readings(column)
+        if not len(readings):
+            return None, f"temperature: {column} is left out, for it reads nothing or cannot be read"
+        middle, named = float(np.median(readings)), temperature_unit(column)
+        plausible = (unit for unit, (low, high) in _PLAUSIBLE_TEMPERATURES.items() if low <= middle <= high)
+        units[column] = named or next(plausible, "")
+        if units[column] not in TEMPERATURE_UNITS:
             return None, (
-                f"temperature: {column}, about {middle:.6g}, in no unit that is known; to use it, add "
-                f'[log.temperature] with columns = {json.dumps(listed)}, unit = "raw", scale, raw numbers per degC, '
-                "and offset, that at 0 degC"
+                f"temperature: {column}, about {middle:.6g}, is left out, for it is in no unit that is known; to use "
+                "it, convert it to °C"
             )
-    whose = {1: "", 2: ", accelerometers and gyros"}.get(len(listed), ", one a sensor, accelerometers first")
-    table: dict[str, Any] = {"columns": listed, "unit": units[0]}
-    if len(set(units)) > 1:
-        factors = [TEMPERATURE_UNITS[unit] for unit in units]
-        scale, offset = [1.0 / gain for gain, _ in factors], [-shift / gain for gain, shift in factors]
-        table |= {"unit": RAW, "scale": scale, "offset": offset}
-    return table, f"temperature: {', '.join(dict.fromkeys(remarks))}{whose}"
+        remarks.append(f"{column} in {units[column]} ({'from the name' if named else 'by its numbers'})")
+    unit = units[columns[0]]
+    listed = [column for column in columns if units[column] == unit]
+    whose = ", accelerometers and gyros" if len(listed) > 1 else ""
+    return {"columns": listed, "unit": unit}, f"temperature: {', '.join(remarks[: len(listed)])}{whose}"
 
 
 def _magnetometer_table(log: ForeignLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:

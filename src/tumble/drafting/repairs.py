@@ -13,14 +13,13 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog
-from tumble.drafting.times import Stamps, grows_mostly, overflow_of, recordings_of
+from tumble.drafting.times import overflow_of, recordings_of
 from tumble.errors import InputError
 from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, MAGNETOMETER
 from tumble.recording.formats import TIME
 from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import GAP_STEP
-from tumble.recording.rows.timed import past_midnight
 
 _XSENS_TICK = 1e-4  # s, of SampleTimeFine
 _NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
@@ -51,8 +50,6 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
         repair = f"rows: those with {value:g} in column {column!r}, of one device", log.rows_of_instance
         return repair_log(_copy(log, folder, [*time, column], [repair]), folder, rate)
     stamps = log.stamps()
-    if stamps is not None and len(stamps.values) >= _FEWEST_ROWS and grows_mostly(-stamps.values):
-        return repair_log(_copy(log, folder, [stamps.column], [_newest_last(stamps)]), folder, rate)
     repairs = _leave_out_other_rows(log)
     time, in_seconds, time_repairs = _repair_time(log, rate)
     parts, why = None, ""
@@ -105,17 +102,6 @@ def _copy(
     return ForeignLog(
         files=tuple(files), keys={}, columns=described, preamble=log.preamble, remarks=remarks, doubts=log.doubts
     )
-
-
-def _newest_last(stamps: Stamps) -> Repair:
-    """Reverse the rows of a log whose time falls from row to row."""
-
-    def reverse(rows: pl.DataFrame) -> pl.DataFrame:
-        rows = rows.reverse()
-        time = rows[stamps.column].to_numpy()
-        return rows.with_columns(pl.Series(stamps.column, past_midnight(time) if stamps.clock else time))
-
-    return f"time: column {stamps.column!r} falls from row to row: rows put in the order of time", reverse
 
 
 def _leave_out_other_rows(log: ForeignLog) -> list[Repair]:

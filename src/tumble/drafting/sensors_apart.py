@@ -6,8 +6,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise, takewhile
-from operator import eq
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ import polars as pl
 
 from tumble.drafting.foreign_log import SAMPLE_ROWS, SHOWN_NAMES, ForeignLog
 from tumble.drafting.times import are_even, grows_mostly, recordings_of, times_of_column
-from tumble.errors import InputError
+from tumble.errors import InputError, LogError
 from tumble.files import OutputFolder
 from tumble.recording.columns.names import (
     ACCEL,
@@ -60,14 +59,9 @@ def log_of_recording(
     own_temperatures = [m.temperatures for m in taken if m.temperatures]
     one_each = len(own_temperatures) == 2 and max(map(len, own_temperatures)) == 1
     temperatures = own_temperatures[0] + own_temperatures[1] if one_each else next(iter(own_temperatures), ())
-    separate = [] if temperatures else [m for m in candidates if m.thermometer]
-    thermometers = _nearest_thermometers(accel, gyro, separate)
     log = folder.new_file("log.parquet")
-    write_log(log, accel, gyro, thermometers)
+    write_log(log, accel, gyro)
     remarks = [f"{recording.name}: message {accel.name}, written to {log}"]
-    remarks += [f"temperature from {thermometer.name}, interpolated" for thermometer in thermometers]
-    unused = [m.name for m in separate if m not in thermometers]
-    remarks += [f"other thermometers, not used: {', '.join(unused)}"] if unused else []
     triads = accel.triads
     if gyro is not None and gyro is not accel:
         remarks.append(f"gyros from {gyro.name}; the accelerometers are interpolated at their times")
@@ -79,7 +73,7 @@ def log_of_recording(
         time=TIME if accel.timed else None,
         time_unit="s" if accel.timed else None,
         triads=triads,
-        temperatures=temperatures or tuple(t for m in thermometers for t in m.temperatures),
+        temperatures=temperatures,
     )
     imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
     doubts = tuple(dict.fromkeys(m.doubt for m in taken if m.doubt))
@@ -91,15 +85,6 @@ def _belong_together(accel: Message, gyro: Message) -> bool:
     instances = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
     same = not all(map(str.isdecimal, instances)) or instances[0] == instances[1]
     return accel.timed and gyro.timed and same
-
-
-def _nearest_thermometers(accel: Message, gyro: Message | None, separate: Sequence[Message]) -> list[Message]:
-    """Return one thermometer for each kind of sensor, or the one with the topic most like the accelerometers'."""
-    topic = accel.name.split("/")
-    nearest = sorted(separate, key=lambda m: -len(list(takewhile(bool, map(eq, m.name.split("/"), topic)))))
-    first = {m.temperatures: m for m in reversed(nearest)}
-    pair = [first[name] for kind in (ACCEL, GYRO) if (name := (f"{kind}_temperature",)) in first]
-    return pair if gyro is not None and len(pair) == 2 else nearest[:1]
 
 
 # -------------------- several devices in a table --------------------
@@ -124,20 +109,21 @@ def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> 
     taken = {named.time, *named.times, *named.temperatures, *(c for s in named.triads.values() for c in s.columns)}
     free = [column for column in numeric if column not in taken]
     for column in sorted(free, key=lambda column: not _INSTANCE.fullmatch(column)):
-        cells = log.cells.get(column) or log.read([column], rows=SAMPLE_ROWS)[:, 0].tolist()
+        cells = log.cells.get(column) or log.readings(column)[:SAMPLE_ROWS].tolist()
         is_named, changes = _INSTANCE.fullmatch(column) is not None, sum(a != b for a, b in pairwise(cells))
         if len(set(cells)) > _MOST_DEVICES or not (is_named or 4 * changes > len(cells)):
             continue
-        table = log.read([column, *([] if named.time is None else [named.time])])
+        try:
+            table = log.read([column, *([] if named.time is None else [named.time])])
+        except LogError:  # of empty values
+            continue
         table = table[np.isfinite(table).all(axis=1)]
         values = np.unique(table[:, 0])
         times = np.arange(len(table), dtype=float) if named.time is None else table[:, -1]
         by_device = [times[table[:, 0] == value] for value in values]
-        if (
-            not 2 <= len(values) <= _MOST_DEVICES
-            or (values % 1.0).any()
-            or not all(_lasts(each, times) for each in by_device)
-        ):
+        if not 2 <= len(values) <= _MOST_DEVICES or (values % 1.0).any():
+            continue
+        if not all(_lasts(each, times) for each in by_device):
             continue
         if not is_named and (named.time is None or are_even(times) or not all(map(are_even, by_device))):
             continue

@@ -74,10 +74,10 @@ def plain(log: pl.DataFrame, folder: Path) -> str:
 
 def with_thermometers(log: pl.DataFrame, folder: Path) -> str:
     """A chip with accelerometers, and one with gyros that is warmer; so steady that no lag behind them matters."""
-    rows = table(log, [*NAMES, "accel_temp_C", "gyro_temp [K]"])
+    rows = table(log, [*NAMES, "accel_temp_C", "gyro_temp [C]"])
     settled = 1.0 - np.exp(-np.arange(len(rows) - 1) / 2000.0)
     for row, warmer in zip(rows[1:], settled.tolist(), strict=True):
-        row += [f"{27.0 + 0.02 * warmer:.3f}", f"{304.15 + 0.04 * warmer:.3f}"]
+        row += [f"{27.0 + 0.02 * warmer:.3f}", f"{31.0 + 0.04 * warmer:.3f}"]
     return written(folder / "log.csv", rows)
 
 

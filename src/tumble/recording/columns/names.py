@@ -164,7 +164,7 @@ _IN_G = re.compile(r"[xyz][ _]g", re.IGNORECASE)
 """Names of accelerometers in g, or of gyros beside accelerometers x_a, y_a and z_a."""
 _KIND_WORDS = {ACCEL: "acc|accel|accelerometers?", GYRO: "gyr|gyros?|gyroscopes?"}
 _THERMOMETER = re.compile(
-    r"(.*_)?(t(?!_[xyz])|temp(erature)?)\d?"
+    r"(.*_)?(t(?!\d?_[xyz])|temp(erature)?)\d?"
     rf"(_({'|'.join(_KIND_WORDS.values())}|[xyz\d]|imu|sensors?|chip|die|deg|[ckf]|celsius|kelvin|fahrenheit"
     "|raw|counts?|lsb|adc))*"
 )

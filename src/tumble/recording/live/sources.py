@@ -21,7 +21,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -286,7 +286,9 @@ def line_of(message: Any) -> str:
 
 
 class Replay(LineSource):
-    """The log of a session at `speed` times the pace of its recording, as lines of CSV; infinite means all at once."""
+    """The log of a session at `speed` times the pace of its recording; infinite means all at once.
+
+    A CSV file with commas is sent unchanged, any other file as lines of CSV."""
 
     begins_anew = True
 
@@ -300,7 +302,17 @@ class Replay(LineSource):
                 f"--listen replay:{folder}: expected a session of one file with times in seconds or none, found "
                 "another; replay a session in that form"
             )
-        self._header, self._lines = ",".join(log.columns).encode() + b"\n", _timed_lines(file, log)
+        self._open = contextlib.ExitStack()
+        if is_recorded(log):
+            recorded = self._open.enter_context(file.open("rb"))
+            self._header, lines = recorded.readline(), iter(recorded)
+        else:  # to the last digit, with nan for unreadable numbers
+            from tumble.recording.readers import source_of as reader_of
+
+            rows = (row for table, _ in reader_of(file, log.dialect).tables(log.columns) for row in table.iter_rows())
+            self._header = ",".join(log.columns).encode() + b"\n"
+            lines = (",".join(map(repr, row)).encode("ascii") + b"\n" for row in rows)
+        self._lines = _timed(log, self._header.decode("utf-8-sig").strip().split(","), lines)
         self._next: tuple[float, bytes] | None = next(self._lines, None)
         self._begun: tuple[float, float] | None = None
         self._at_once = 0
@@ -331,19 +343,21 @@ class Replay(LineSource):
         return bytes(out)
 
     def close(self) -> None:
-        self._lines.close()
+        self._open.close()
 
 
-def _timed_lines(file: Path, log: LogSpec) -> Generator[tuple[float, bytes], None, None]:
-    """Yield the rows of a file with their times, s, to the last digit, and with nan for unreadable numbers."""
-    from tumble.recording.readers import source_of as reader_of  # polars is slow to import
-
-    rows = (row for table, _ in reader_of(file, log.dialect).tables(log.columns) for row in table.iter_rows())
-    at = 0.0
-    for number, row in enumerate(rows, 1):
-        stated = number / log.rate if log.rate is not None else row[0] * log.time_factor
-        at = stated if math.isfinite(stated) else at
-        yield at, ",".join(map(repr, row)).encode("ascii") + b"\n"
+def _timed(log: LogSpec, names: list[str], lines: Iterator[bytes]) -> Iterator[tuple[float, bytes]]:
+    """Yield lines with their times, s; lines without a time are left out."""
+    scale = log.time_factor if log.rate is None else 1.0 / log.rate
+    if log.time is None:
+        yield from ((number * scale, line) for number, line in enumerate(lines, 1))
+        return
+    clock, at = names.index(log.time), 0.0
+    for line in lines:
+        with contextlib.suppress(ValueError, IndexError):
+            stated = float(line.split(b",")[clock]) * scale
+            at = stated if math.isfinite(stated) else at
+            yield at, line
 
 
 def is_recorded(log: LogSpec) -> bool:

@@ -139,8 +139,8 @@ class TemperatureChannels:
     accel: tuple[int, ...]
     gyro: tuple[int, ...]
     unit_name: str
-    gain: Array
-    shift: Array
+    gain: float
+    shift: float
 
     def to_celsius(self, numbers: Array) -> Array:
         """Return temperatures (m, T), °C, from a log's numbers (m, T)."""
