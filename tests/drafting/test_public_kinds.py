@@ -353,14 +353,6 @@ def test_a_body_that_flies_without_names_of_columns(tmp_path: Path) -> None:
     assert (log.accel.columns, log.accel.unit_name) == (("5", "6", "7"), "m/s^2")
 
 
-def test_numbers_without_their_sign_and_without_names(rows: Array, tmp_path: Path) -> None:
-    counts = np.rint(scaled(rows, 16384.0 * G, 131.0 * D)[:, 1:]) % 65536
-    text(tmp_path / "log.txt", "", np.column_stack([rows[:, 0], counts]), "\t")
-    check_read(tmp_path / "s", tmp_path / "log.txt", rows)
-    log = read_session(tmp_path / "s").log
-    assert log.accel.scale == pytest.approx(16384.0)
-
-
 def test_numbers_of_rows_are_no_thousandths_of_a_second(tmp_path: Path) -> None:
     still = np.column_stack([1.0 + np.arange(1000), np.random.default_rng(1).normal(size=(1000, 6))])
     still[:, 1:] = 0.01 * still[:, 1:] + np.array([0.0, 0.0, 9.81, 0.0, 0.0, 0.0])

@@ -88,8 +88,9 @@ def identify_log(
             )
     first.check_has_sensors(gyros_suffice=True)
     all_files = tuple(file for log in logs for file in log.files)
+    kept = {path: source for log in logs for path, source in log.kept.items()}
     several = (f"{len(all_files)} files, each a recording of its own",) if len(all_files) > 1 else ()
-    return replace(first, files=all_files, remarks=(*first.remarks, *several, *omitted))
+    return replace(first, files=all_files, remarks=(*first.remarks, *several, *omitted), kept=kept)
 
 
 def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:

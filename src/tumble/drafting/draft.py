@@ -12,6 +12,7 @@ from typing import Any
 
 from tumble.drafting.times import ASSUMED_RATE, Times, at_rate
 from tumble.recording.columns.names import Sensors
+from tumble.recording.log_source import LogSource
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_of, session_of_gyros
 from tumble.recording.text.dialect import DIALECT_KEYS
@@ -25,7 +26,7 @@ class Draft:
     [log.magnetometer], written as a comment because nearby iron disturbs its readings. `whole` is True for kinds of
     sensors that read whole numbers only; `rate` is in Hz. `magnitude` is the median length of accelerometer readings in
     the first rows, `largest` that of large gyro readings, both as written; `step` is the resolution of a data sheet,
-    °/s, of which their readings are multiples."""
+    °/s, of which their readings are multiples. `kept` are readers of files by path."""
 
     content: Mapping[str, Any]
     remarks: tuple[str, ...]
@@ -38,6 +39,7 @@ class Draft:
     magnitude: float = 1.0
     largest: float = 0.0
     step: float | None = None
+    kept: Mapping[Path, LogSource] = field(default_factory=dict)
 
     @property
     def log(self) -> Mapping[str, Any]:
@@ -65,8 +67,10 @@ class Draft:
         return replace(self, content={**self.content, "log": {**self.log, **tables}}, remarks=(*self.remarks, *remarks))
 
     def session(self) -> Session:
-        """Return the session of the content."""
-        return session_of(self.content) if "accel" in self.log else session_of_gyros(self.content)
+        """Return the session of the content, without reading files again."""
+        session = session_of(self.content) if "accel" in self.log else session_of_gyros(self.content)
+        files = tuple(self.kept.get(Path(str(file)), file) for file in session.log.files)
+        return replace(session, log=replace(session.log, files=files))
 
 
 def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bool) -> str:

@@ -54,8 +54,8 @@ class ForeignLog:
 
     `keys` are the keys of [log] that describe the text, `preamble` the lines above the numbers that are neither names
     nor units, `cells` the first rows by column, `remarks` and `doubts` sentences for the user, `instance` the column
-    that separates several devices in the rows, with the value of the one that is read, and `kept` the readings of all
-    sensors, by files and columns."""
+    that separates several devices in the rows, with the value of the one that is read, and `kept` the readers already
+    opened, by path."""
 
     files: tuple[Path, ...]
     keys: Mapping[str, Any]
@@ -66,15 +66,19 @@ class ForeignLog:
     doubts: tuple[str, ...] = ()
     dialect: Dialect | None = None
     instance: Mapping[str, float] = field(default_factory=dict)
-    kept: dict[tuple[tuple[Path, ...], Sequence[str]], Array] = field(default_factory=dict)
+    kept: dict[Path, LogSource] = field(default_factory=dict)
 
     def with_columns(self, remarks: Sequence[str] = (), /, **changed: Any) -> ForeignLog:
         """Return a copy with some attributes of `columns` changed, and further remarks."""
         return replace(self, columns=replace(self.columns, **changed), remarks=(*self.remarks, *remarks))
 
     def sources(self) -> Iterator[LogSource]:
-        """Return readers of the files."""
-        return (source_of(file, self.dialect) for file in self.files)
+        """Yield readers of the files."""
+        for file in self.files:
+            path = file.resolve()
+            if path not in self.kept:
+                self.kept[path] = replace(source_of(file, self.dialect), kept={})
+            yield self.kept[path]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -96,21 +100,14 @@ class ForeignLog:
         """Read the first rows of some columns of all files, (m, n), with seconds for times of day and NaN for no
         number.
 
-        All columns that a session needs are read together, once."""
+        All columns that a session needs are read together, so that each file is parsed once."""
         named = self.columns
         sensors = [c for kind in (ACCEL, GYRO) if kind in named.triads for c in named.triads[kind].columns]
-        together = tuple(c for c in (named.time, *sensors) if c is not None)
-        if not set(columns) <= set(together):
-            return self._read(columns, rows)
-        if (self.files, together) not in self.kept:
-            self.kept[self.files, together] = self._read(together, LONGEST)
-        return self.kept[self.files, together][:rows, [together.index(column) for column in columns]]
-
-    def _read(self, columns: Sequence[str], rows: int) -> Array:
+        together = [c for c in (named.time, *sensors) if c is not None]
+        wanted = list(dict.fromkeys((*(together if set(columns) <= set(together) else columns), *self.instance)))
         parts, count = [np.empty((0, len(columns)))], 0
         for source in self.sources():
-            named = list(dict.fromkeys((*columns, *self.instance)))
-            for table, _ in source.tables(named, self.clock if self.clock in columns else None):
+            for table, _ in source.tables(wanted, self.clock if self.clock in wanted else None):
                 numbers = self.rows_of_instance(table).select(columns).to_numpy()[: rows - count]
                 parts.append(np.where(is_reading(numbers), numbers, np.nan))
                 count += len(numbers)

@@ -259,6 +259,7 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
         magnitude=magnitude,
         largest=float(np.quantile(np.abs(rates).max(axis=1), _FAST_QUANTILE)) if len(rates) else 0.0,
         step=resolution_in_deg_s(head[GYRO]) if GYRO in triads and not whole[GYRO] else None,
+        kept=log.kept,
     )
 
 

@@ -137,7 +137,6 @@ def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> 
             log,
             instance={column: float(values[first])},
             remarks=(*log.remarks, f"{remark}; also there, and not used: {others} (--message takes another)"),
-            kept={},
         )
     return log
 

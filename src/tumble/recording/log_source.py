@@ -9,17 +9,19 @@ from contextvars import copy_context
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
+from itertools import tee
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 import polars as pl
 
-from tumble.errors import LogError
+from tumble.errors import LogError, TumbleError
 from tumble.units import Array
 
 BLANK_LINE = "a blank line"
 _SHOWN = 40  # characters in a message
+_KEPT_ROWS = 4_000_000
 _Part = TypeVar("_Part")
 
 
@@ -59,10 +61,14 @@ Tables = Iterator[tuple[pl.DataFrame, list[Unread]]]
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LogSource:
-    """A file of a log, read as tables of bounded size, with the names of its columns in order."""
+    """A file of a log, read as tables of bounded size, with the names of its columns in order.
+
+    `kept` has the tables read so far, by requested columns, so that a file is read only once unless it is long; None
+    for a file that is read anew each time."""
 
     path: Path
     names: tuple[str, ...]
+    kept: dict[tuple[tuple[str, ...], str | None], Tables] | None = None
 
     def first_date(self, column: str) -> str | None:
         """Return the date with the time, ISO 8601, in the first row of a column; None without a date."""
@@ -73,6 +79,27 @@ class LogSource:
         """Yield rows of some columns as float64, NaN for unreadable numbers.
 
         Times of day and dates in the column `clock` become seconds."""
+        if self.kept is None:
+            yield from self.read(columns, clock)
+            return
+        wanted, key = set(columns), (tuple(columns), clock)
+        for kept_key in self.kept:  # tables with these columns, or with more
+            if wanted <= set(kept_key[0]) and (kept_key[1] == clock or kept_key[1] not in wanted):
+                key = kept_key
+        self.kept[key], tables = tee(self.kept.get(key) or self.read(*key))
+        rows = 0
+        try:
+            for table, unread in tables:
+                rows += table.height
+                if rows > _KEPT_ROWS:  # later calls read the file anew
+                    self.kept.pop(key, None)
+                yield table.select(columns), [u for u in unread if u.column is None or u.column in wanted]
+        except TumbleError:
+            self.kept.pop(key, None)
+            raise
+
+    def read(self, columns: Sequence[str], clock: str | None) -> Tables:
+        """Yield `tables` without keeping them."""
         raise NotImplementedError
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:

@@ -82,7 +82,7 @@ class TableLog(LogSource):
         first = self._collected(self.scan().select(pl.col(column).first())).item()
         return None if first is None else str(first.isoformat(timespec="seconds"))
 
-    def tables(self, columns: Sequence[str], clock: str | None = None) -> Tables:
+    def read(self, columns: Sequence[str], clock: str | None) -> Tables:
         scan, first = self.scan().select(columns), 1
         for column in columns:
             kind = self.types[column]

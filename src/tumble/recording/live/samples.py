@@ -41,7 +41,7 @@ class _ComingRows(LogSource):
 
     waiting: list[Array] = field(default_factory=list)
 
-    def tables(self, columns: Sequence[str], clock: str | None = None) -> Tables:
+    def read(self, columns: Sequence[str], clock: str | None) -> Tables:
         del clock
         while True:
             rows = np.concatenate([np.empty((0, len(self.names))), *self.waiting])

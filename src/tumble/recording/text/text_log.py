@@ -68,7 +68,7 @@ class TextLog(LogSource):
     def first_date(self, column: str) -> str | None:
         return date_of(self._cell(next(self.pieces(), b""), column))
 
-    def tables(self, columns: Sequence[str], clock: str | None = None) -> Tables:
+    def read(self, columns: Sequence[str], clock: str | None) -> Tables:
         if missing := [column for column in columns if column not in self.names]:  # the first rows differ in width
             raise LogError(f"{self.path}: expected a column {missing[0]}, found {', '.join(self.names)}")
         first, day, pieces = 1, None, self.pieces()
