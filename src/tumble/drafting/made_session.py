@@ -1,15 +1,17 @@
 """The session that `calibrate LOG` makes beside a log, and reuses if the content of the log is the same.
 
 `made.json` in the session's folder has the hash of the log, the stated options, the version, and the files made. The
-same log with the same options has the same session, with any corrections by hand; a renamed log keeps the serial number
-of its first name unless one is stated. With other options the session is made anew, unless it was corrected by hand,
-and its calibration is kept under another name; for a command that only reads it is made in a folder for the time being.
+same log with the same options, or none, has the same session, with any corrections by hand; a renamed log keeps the
+serial number of its first name unless one is stated. With other options the session is made anew, unless it was
+corrected by hand, and its calibration is kept under another name; a command that only reads makes it in a folder for
+the time being.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import secrets
 import shutil
@@ -37,24 +39,28 @@ _RESULT = "calibration.json"
 @contextmanager
 def session_of_log(
     log: Path, given: Given, progress: Progress, *, reads_only: bool = False
-) -> Iterator[tuple[Path, str, Sequence[str], Sequence[str]]]:
-    """Yield the folder of the session of a log, its origin in words, remarks on each part, and faults.
+) -> Iterator[tuple[Path, str, Sequence[str]]]:
+    """Yield the folder of the session of a log, its origin in words, and remarks on each part.
 
-    A session that is made here is removed, or the former one put back, if the block fails. With `reads_only` a
-    session made with other options stays. Raises InputError for a log
-    that cannot be read, and if a session corrected by hand would be made anew."""
+    A session that is made here is removed, or the former one put back, if the block fails. With `reads_only` a session
+    made with other options stays. Raises InputError for a log that cannot be read, and if a session corrected by hand
+    would be made anew."""
     log = log if log.name else log.resolve()
     stem = re.sub(r"[*?\[\]]", "", log.name)
     for ending in (".gz", ".zst"):
         stem = stem.removesuffix(ending)
-    stem = Path(stem).stem or "log"
-    _bring_back(log.parent, f"{stem}*-session")
+    stem = Path(f"_{stem}").stem[1:].lstrip("-. ") or "log"  # neither hidden nor like an option
     digest = _digest(log)
+    first, second = (log.with_name(f"{name}-session") for name in (stem, f"{stem}-{digest[:8]}"))
+    _bring_back(first)
+    _bring_back(second)
     folder = next((f for f in sorted(log.parent.glob("*-session")) if _made(f).get("log_sha256") == digest), None)
     made = {} if folder is None else _made(folder)
     former = made.get("given", {}).get("serial", stem)
     default = former if folder is not None and folder.name.startswith(f"{former}-") else stem
     whose = "" if given.serial or default == stem else f" (serial number {default!r})"
+    if given == Given():  # what was stated before holds
+        given = Given(**{key: value for key, value in made.get("given", {}).items() if key in asdict(given)})
     given = replace(given, serial=given.serial or default)
     stated, origin = {key: value for key, value in asdict(given).items() if value}, ""
     content = {"log_sha256": digest, "given": json.loads(json.dumps(stated)), "version": __version__}
@@ -63,7 +69,7 @@ def session_of_log(
         if made.get("given") == content["given"] and (edited or made.get("version") == __version__):
             by_hand = ", corrected by hand" if edited else ""
             with in_use(folder, shared=True):
-                yield folder, f"{folder / SESSION_FILE}: the session made of this log before{whose}{by_hand}", [], []
+                yield folder, f"{folder / SESSION_FILE}: the session made of this log before{whose}{by_hand}", []
             return
         before = made.get("given", {})
         other = [key for key in {**before, **content["given"]} if before.get(key) != content["given"].get(key)]
@@ -75,10 +81,11 @@ def session_of_log(
                 f"and the session corrected by hand; calibrate it as it is (tumble calibrate {folder}), or remove it"
             )
         if reads_only:
-            with TemporaryDirectory(prefix=".tumble-", dir=log.parent) as temporary:
-                draft, faults = written_session(OutputFolder(Path(temporary)), log, given, progress)
+            beside = log.parent if os.access(log.parent, os.W_OK) else None
+            with TemporaryDirectory(prefix=".tumble-", dir=beside) as temporary:
+                draft, _ = written_session(OutputFolder(Path(temporary)), log, given, progress)
                 state = f"{folder} is of other options or another version{others} and stays; the log is read anew"
-                yield Path(temporary), state, draft.remarks, faults
+                yield Path(temporary), state, draft.remarks
             return
         origin = (
             f"{folder}: made anew, with other options or by another version{others}, in place of the session of serial "
@@ -87,12 +94,14 @@ def session_of_log(
         if (folder / _RESULT).exists():
             origin += f"its calibration is kept as {_former_result(folder)}; "
     else:
-        folder = log.with_name(f"{stem}-session")
-        with in_use(folder, shared=True):  # it may be being made
+        with in_use(first, shared=True):  # it may be being made
             pass
-        folder = folder if not folder.exists() else log.with_name(f"{stem}-{digest[:8]}-session")
+        folder = second if first.exists() else first
+        if not os.access(log.parent, os.W_OK):
+            advice = f"copy the log, or make a session elsewhere: tumble new SESSION {log}"
+            raise InputError(f"{folder}: expected a folder that can be made, found {log.parent} read-only; {advice}")
     with _put_aside(folder), nothing_left(folder) as output:
-        draft, faults = written_session(output, log, given, progress)
+        draft, _ = written_session(output, log, given, progress)
         content["session_sha256"] = _sha256(folder / SESSION_FILE)
         content["files"] = [file.name for file in output.written]
         with whole_file(output.new_file(MADE)) as temporary:
@@ -100,7 +109,7 @@ def session_of_log(
         origin += f"kept in {folder / SESSION_FILE}"
         if draft.magnetometer is not None:
             origin += ", where the magnetometer is commented out: remove the # to calibrate it too"
-        yield folder, origin, draft.remarks, faults
+        yield folder, origin, draft.remarks
 
 
 @contextmanager
@@ -119,14 +128,13 @@ def _put_aside(folder: Path) -> Iterator[None]:
         except BaseException:
             aside.rename(folder)
             raise
-    _bring_back(folder.parent, folder.name)
+    _bring_back(folder)
 
 
-def _bring_back(parent: Path, names: str) -> None:
-    """Move back files that were put aside: those of the user if the session was made anew, all if the process was
-    killed."""
-    for aside in parent.glob(f".{names}.*/"):
-        folder = parent / aside.name[1:].rpartition(".")[0]
+def _bring_back(folder: Path) -> None:
+    """Move back files of a folder that were put aside: those of the user if the session was made anew, all if the
+    process was killed."""
+    for aside in folder.parent.glob(f".{folder.name}.*/"):
         with in_use(aside):  # not by the process that makes the session anew
             if not _made(folder):
                 shutil.rmtree(folder, ignore_errors=True)
