@@ -154,6 +154,11 @@ def test_a_command_that_only_reads_leaves_a_session_of_other_options(logs: Path)
     assert [f for f in logs.iterdir() if f.is_dir()] == [folder]
 
 
+def test_a_latitude_that_is_none_is_said_before_the_session() -> None:
+    with pytest.raises(InputError, match="latitude: expected a number from -90 to 90, found 481"):
+        Given(latitude=481.0)
+
+
 def test_a_session_that_fails_to_be_made_anew_is_as_it_was(logs: Path) -> None:
     folder, _ = made(logs / "flight-1.2.csv")
     before = {f.name: f.read_bytes() for f in folder.iterdir()}
