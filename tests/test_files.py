@@ -166,3 +166,16 @@ def test_columns_that_csv_cannot_hold_are_named(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
     write_tables(tmp_path / "a.parquet", iter([table]))
     assert pl.read_parquet(tmp_path / "a.parquet").equals(table)
+
+
+def test_a_file_on_a_disk_that_is_read_only_is_named_and_not_what_stands_for_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path | str, *_: object, **__: object) -> int:
+        raise OSError(errno.EROFS, "Read-only file system", str(path))
+
+    monkeypatch.setattr(os, "open", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)  # which such a disk refuses even if there is no file
+    with pytest.raises(OSError, match="Read-only") as caught, whole_file(tmp_path / "x.params"):
+        pass
+    assert caught.value.filename == str(tmp_path / "x.params")

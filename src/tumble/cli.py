@@ -94,7 +94,8 @@ def first_sentence(docstring: str) -> str:
 
 
 class _Commands(click.Group):
-    """Group of commands whose errors are one line on standard error: exit status 2, or 70 for errors of the program."""
+    """Group of commands that take its options too. Errors are one line on standard error: exit status 2, or 70 for
+    errors of the program."""
 
     def __call__(self, *args: Any, **extra: Any) -> Any:
         try:
@@ -143,8 +144,10 @@ class _Commands(click.Group):
                 raise
             if command is None:
                 return None
-            for part in getattr(command, "commands", {}).values():
+            for part in (command, *getattr(command, "commands", {}).values()):
                 part.short_help = first_sentence(part.help or "")
+                own = {name for option in part.params for name in option.opts}
+                part.params += [option for option in self.params if own.isdisjoint(option.opts)]
             self.add_command(command, cmd_name)
         return self.commands[cmd_name]
 
@@ -158,10 +161,12 @@ class _Commands(click.Group):
 
 
 @click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.option("-q", "--quiet", is_flag=True, help="Print only results, reasons and errors, no notes.")
+@click.option(
+    *("-q", "--quiet"), is_flag=True, expose_value=False, help="Print only results, reasons and errors, no notes."
+)
 @click.version_option(__version__, prog_name="tumble")
 @click.pass_context
-def main(context: click.Context, quiet: bool) -> None:  # noqa: ARG001 (`console` reads it)
+def main(context: click.Context) -> None:
     """Calibrate strapdown inertial measurement units on equipment that is not precise."""
     from tumble.recording.panic import COMMAND_LINE
 

@@ -95,7 +95,8 @@ def json_of(text: str) -> Any:
     except ValueError as fault:
         if not text.lstrip().startswith(("{", "[")):
             raise ValueError("text that is no JSON; is it the log?") from None
-        raise ValueError(_BEYOND_MEASURE if "digits" in str(fault) else str(fault)) from None
+        found = f"an error in its syntax: {fault}" if isinstance(fault, json.JSONDecodeError) else str(fault)
+        raise ValueError(_BEYOND_MEASURE if "digits" in str(fault) else found) from None
 
 
 def as_json(part: Any, by_type: Mapping[type, Callable[[Any], Any]] = AS_PRINTED) -> Any:

@@ -10,7 +10,8 @@
     └── MissingExtraError     an optional dependency that is not installed
 
 A message is one line: the place, what was expected, what was found, what to do. It names arguments as options of the
-command line, `--gravity-u`; for users of the library `str()` shows `gravity_u`. A poor result is no exception: it is an
+command line, `--gravity-u`; for users of the library `str()` shows `gravity_u`. Tables of session.toml are in brackets,
+and those who wrote no such file are told where it is (`tables_at`). A poor result is no exception: it is an
 `Estimate` whose outcome gives the reasons.
 """
 
@@ -20,7 +21,14 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
+IN_MEMORY = "session.toml; for arrays use the argument of that name without unit, or tumble.session_of"
+_TABLE = re.compile(r"\[\[?(?:device|site|log|programme|exclude)[.\w]*\]")
 _OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
+
+
+def tables_at(place: str, *sentences: str) -> str:
+    """Return the end of sentences that name a table of session.toml: that it is at a place; else nothing."""
+    return f"; […] is a table of {place}" if any(map(_TABLE.search, sentences)) else ""
 
 
 class TumbleError(Exception):
@@ -28,7 +36,8 @@ class TumbleError(Exception):
 
     def __str__(self) -> str:
         """Return the message with options named as arguments."""
-        return _OPTION.sub(lambda option: option[1].replace("-", "_"), self.for_command_line)
+        message = _OPTION.sub(lambda option: option[1].replace("-", "_"), self.for_command_line)
+        return message if "session.toml" in message else message + tables_at(IN_MEMORY, message)
 
     @property
     def for_command_line(self) -> str:

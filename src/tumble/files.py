@@ -21,7 +21,8 @@ FilePath = str | os.PathLike[str]
 def _remove(files: Iterable[Path], folders: Iterable[Path] = ()) -> None:
     """Remove files that were not completed, and folders that are empty without them."""
     for file in files:
-        file.unlink(missing_ok=True)
+        with suppress(OSError):  # missing, or never made where nothing can be
+            file.unlink()
     with suppress(OSError):  # not empty
         for folder in folders:
             folder.rmdir()

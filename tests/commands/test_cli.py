@@ -117,7 +117,8 @@ def test_every_command_explains_itself_and_each_of_its_options(words: tuple[str,
 
 
 def test_the_version_is_that_of_the_package() -> None:
-    assert run("--version").stdout == f"tumble, version {__version__}\n"
+    for words in ((), ("calibrate",), ("registry", "add")):
+        assert run(*words, "--version").stdout == f"tumble, version {__version__}\n"
 
 
 HEAVY = ("numpy", "scipy", "polars", "pydantic", "matplotlib")
@@ -665,7 +666,7 @@ def test_results_are_printed_as_data(sessions: Path) -> None:
 def test_quiet_leaves_results_reasons_and_errors(sessions: Path) -> None:
     words = "calibrate", sessions / "one", "--terms", "linear"
     assert "written to" in run(*words).stderr
-    assert run("-q", *words).stderr == ""
+    assert run("-q", *words).stderr == run(*words, "--quiet").stderr == run("calibrate", "-q", *words[1:]).stderr == ""
     assert run("-q", *words).stdout == run(*words).stdout
     assert "not accepted: " in run("-q", "calibrate", sessions / "few").stderr
     assert run("-q", "calibrate", sessions / "none").stderr.startswith("tumble: ")
@@ -695,6 +696,38 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     assert "they stand in its session.toml" in refused(
         "calibrate", sessions / "one", "--latitude", "50", below=sessions
     )
+
+
+def test_a_stream_is_no_path(sessions: Path) -> None:
+    made = run("calibrate", sessions / "one", "--quiet").exit_code
+    assert made == 0
+    for words in (("export", sessions / "one" / "calibration.json", "--to", "px4", "-o", "-"), ("calibrate", "-")):
+        assert "expected a path, found '-', and no stream is read or written" in refused(*words, below=sessions)
+    assert "did you mean 'px4'?" in refused(
+        "export", sessions / "one" / "calibration.json", "--to", "PX4", "-o", sessions / "x", below=sessions
+    )
+
+
+def test_a_recording_that_is_there_twice_is_refused(sessions: Path) -> None:
+    """Which would make u too small; as a folder of a log and a copy of it."""
+    (sessions / "logs").mkdir()
+    for name in ("a", "b"):
+        shutil.copy(sessions / "one" / "log.parquet", sessions / "logs" / f"{name}.parquet")
+    said = refused("calibrate", sessions / "logs", "--latitude", 50, below=sessions)
+    assert "b.parquet: holds the same recording as" in said
+    said = refused("calibrate", sessions / "logs" / "a.parquet", 50, below=sessions)
+    assert said == "50: expected a session or a log, found no such file or folder"
+
+
+def test_who_wrote_no_session_toml_is_told_where_its_tables_are(sessions: Path) -> None:
+    log = shutil.copy(sessions / "one" / "log.parquet", sessions / "log.parquet")
+    done = run("calibrate", log, "--latitude", 50)
+    assert "in [log], 0 where it is exact" in done.stdout
+    assert f"; […] is a table of {sessions / 'log-session'}/session.toml" in " ".join(done.stdout.split())
+    shutil.rmtree(sessions / "log-session")
+    said = refused("calibrate", log, "--latitude", 50, "--frame", "case", below=sessions)  # and not that it is kept
+    assert "[programme]" in said
+    assert said.endswith("; […] is a table of a session.toml, which `tumble new SESSION LOG` writes")
 
 
 def test_a_stated_rate_that_contradicts_the_times_is_taken_and_said(sessions: Path) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 import numpy as np
 import pytest
+from click.core import ParameterSource
 from click.testing import CliRunner, Result
 
 from tumble.cli import main
@@ -105,7 +106,7 @@ def test_a_plan_shows_from_the_start_that_it_is_being_made(
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("TERM", "xterm")
     context = click.Context(click.Command("tumble"))
-    context.params["quiet"] = quiet
+    context.set_parameter_source("quiet", ParameterSource.COMMANDLINE if quiet else ParameterSource.DEFAULT)
     with context, working("planning") as told:
         told(1, 6)
         deadline = time.monotonic() + 5.0

@@ -599,7 +599,7 @@ def test_a_channel_that_died_on_the_way_is_named(recording: Recording, tmp_path:
         assert f"column {column!r} is stuck" in said
 
 
-@pytest.mark.parametrize("value", [-1e30, 1e12])
+@pytest.mark.parametrize("value", [-1e18, 1e12])
 def test_damaged_numbers_are_named(hand: Recording, tmp_path: Path, value: float) -> None:
     for column in ("ax", "gy"):
         said = reason(hand.changed(column, slice(3000, 3001), lambda _: value), tmp_path / column)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.session import USUAL_CLOCK_U, USUAL_RATE_U, Session
 from tumble.recording.session_file import read_session
 from tumble.recording.text.text_log import TextLog
+from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS
 
@@ -216,6 +218,18 @@ def test_a_log_without_times_or_gyros_is_drafted_and_says_so(handheld: pl.DataFr
     assert session.programme.name == "cube-14"
     assert "rate_hz = 100 is a guess" in said
     assert "the accelerometers alone" in said
+
+
+def test_turns_whose_middle_is_lost_are_no_jumps_from_position_to_position(tmp_path: Path) -> None:
+    """Each is left out by itself, and those around it are used."""
+    setup = Setup.of(grade="mems", positions=14, rest=5.0, sample_rate=50.0, rate_deg_s=30.0)
+    log = pl.read_parquet(simulate_session(tmp_path / "s", setup, seed=3) / "log.parquet")
+    rests = inspect_session(tmp_path / "s").segmentation.rests
+    for before, behind in list(pairwise(rests))[:10]:
+        log = log.filter((pl.col("t") - 0.5 * (before.stop + behind.start)).abs() > 0.2)
+    session, said = drafted(log, tmp_path)
+    assert len(session.log.files) == 1
+    assert "a file each" not in said
 
 
 def test_magnetometers_are_offered_as_a_comment_that_works(handheld: pl.DataFrame, tmp_path: Path) -> None:

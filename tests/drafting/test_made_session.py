@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from tests.support.shared import session
 from tumble.drafting.made_session import session_of_log
 from tumble.drafting.new_session import Given
 from tumble.errors import InputError
+from tumble.files import in_use
 from tumble.planning.setup import Setup
 from tumble.recording.log import Log
 from tumble.recording.session_file import read_session
@@ -29,7 +31,7 @@ def logs(tmp_path: Path) -> Path:
 
 
 def made(log: Path, given: Given = GIVEN) -> tuple[Path, str]:
-    with session_of_log(log, given, Log.chunks) as (folder, state, _, _):
+    with session_of_log(log, given, Log.chunks) as (folder, state, _):
         return folder, state
 
 
@@ -83,6 +85,13 @@ def test_what_a_killed_process_had_put_aside_comes_back(logs: Path, half: tuple[
     assert sorted(path.name for path in logs.iterdir() if path.is_dir()) == ["flight-1.2-session"]
 
 
+def test_another_log_whose_session_is_being_made_anew_is_no_hindrance(logs: Path) -> None:
+    log = (logs / "flight-1.2.csv").rename(logs / "flight.csv")
+    other, _ = made(logs / "flight-1.3.csv")
+    with in_use(other.rename(logs / f".{other.name}.0123abcd")):
+        assert made(log)[0] == logs / "flight-session"
+
+
 def test_another_log_of_the_same_name_has_another_session(logs: Path) -> None:
     first = made(logs / "flight-1.2.csv")[0]
     (logs / "flight-1.3.csv").replace(logs / "flight-1.2.csv")
@@ -90,6 +99,29 @@ def test_another_log_of_the_same_name_has_another_session(logs: Path) -> None:
     assert second != first
     assert (read_session(first).device.serial, read_session(second).device.serial) == ("flight-1.2", "flight-1.2")
     assert len(list(logs.glob("*-session"))) == 2
+
+
+def test_no_statement_leaves_what_was_stated_and_the_result(logs: Path) -> None:
+    folder, _ = made(logs / "flight-1.2.csv", replace(GIVEN, accel=("ax", "ay", "az")))
+    (folder / "calibration.json").write_text("{}", encoding="utf-8")
+    assert made(logs / "flight-1.2.csv", Given())[1].endswith(": the session made of this log before")
+    assert "latitude_deg = 50.0" in (folder / "session.toml").read_text(encoding="utf-8")
+    assert (folder / "calibration.json").exists()
+
+
+def test_a_log_in_a_folder_that_is_read_only_is_refused_with_the_way_out(
+    logs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda *_: False)  # root may write anywhere
+    with pytest.raises(InputError, match=r"read-only; copy the log, or make a session elsewhere: tumble new SESSION "):
+        made(logs / "flight-1.2.csv")
+
+
+def test_a_pattern_makes_no_folder_that_is_hidden_or_like_an_option(logs: Path) -> None:
+    assert made(logs / "*.2.csv")[0].name == "2-session"
+    assert made(logs / "*-1.3.csv")[0].name == "1.3-session"
+    (logs / "flight-1.3.csv").unlink()
+    assert made(logs / "*.csv", Given(latitude=40.0))[0].name == "2-session"
 
 
 def test_other_statements_make_it_anew_and_keep_what_was_put_there(logs: Path) -> None:

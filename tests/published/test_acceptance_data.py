@@ -270,6 +270,8 @@ def test_ferraris_is_poorly_observable_by_the_joint_method(ferraris: Calibration
     assert not ferraris.outcome.accepted
     assert ferraris.outcome.reasons[0].startswith("poorly observable in this session: ")
     assert "rests that would help" in ferraris.outcome.reasons[0]
+    concerned = ferraris.outcome.concerns[ferraris.outcome.reasons[0]]
+    assert not any(part.startswith("accel") for part in concerned) or concerned[0].startswith("accel")
     scales = {name: ferraris[name].u or 1.0 for name in ("gyro.scale.x", "gyro.scale.y", "gyro.scale.z")}
     assert max(scales.values()) < 0.01
     assert all(u < 0.005 or name in ferraris.outcome.reasons[0] for name, u in scales.items())

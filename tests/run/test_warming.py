@@ -261,7 +261,7 @@ def test_three_kelvin_say_little_and_a_log_without_thermometer_nothing(base: Cal
     recorded = warming(14, span=3.0, seconds=600.0)
     made = calibrate(**recorded.arrays)
     assert any(
-        "temperatures span 2." in said and "come from their priors" in said for said in made.provenance.assumptions
+        "temperatures span 2." in said and "have their usual sizes" in said for said in made.provenance.assumptions
     )
     arrays = {name: value for name, value in recorded.arrays.items() if name != "temperature"}
     with pytest.raises(InputError, match="expected the temperature beside the readings"):

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tumble.errors import InputError
 from tumble.inference.joint import joint
 from tumble.planning.plan import plan
 from tumble.planning.setup import Setup
@@ -18,7 +19,7 @@ from tumble.result.calibration import read_calibration
 from tumble.run.calibrate import calibrate
 from tumble.sensors import parameters
 from tumble.sensors.model import Block, SensorKind
-from tumble.sensors.parameters import FUNCTIONS, PAIRS, PRODUCTS, ParameterGroup, group_of
+from tumble.sensors.parameters import FUNCTIONS, PAIRS, PRODUCTS, RATE, ParameterGroup, group_of
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.recording import record
 from tumble.simulation.scenario import Scenario, scenario_of
@@ -87,6 +88,17 @@ def test_gyros_have_one_of_products_of_forces(monkeypatch: pytest.MonkeyPatch) -
     truth = np.array([scenario.truth[f"gyro.g2.{sensor}"] for sensor in "xyz"])
     assert np.all(np.abs(estimate.values[where] - truth) < 6.0 * estimate.u[where])
     assert np.all(estimate.u[where] < size)
+
+
+def test_accelerometers_have_none_of_rates(monkeypatch: pytest.MonkeyPatch, made_up: ParameterGroup) -> None:
+    """A correction knows the rate only once it has the force, and would silently leave such a term."""
+
+    def by_rate(block: Block) -> Array:
+        return np.roll(by_square(0)(block), RATE.start - PRODUCTS.start, axis=1)
+
+    monkeypatch.setattr(parameters, "FURTHER", [*parameters.FURTHER[:-1], replace(made_up, regressors=by_rate)])
+    with pytest.raises(InputError, match=r"accel\.of_x: expected no terms in the rate"):
+        record(drawn(), np.random.default_rng(4))
 
 
 def drawn() -> Scenario:

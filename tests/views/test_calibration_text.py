@@ -227,7 +227,7 @@ def test_a_line_for_each_further_group(full: Calibration) -> None:
     whole = lines_of(calibration_blocks(full, every=True), 100)
     groups = next(i for i, line in enumerate(whole) if line.startswith("group "))
     said = {line.split()[0]: line.split()[1:] for line in whole[groups:] if line.strip()}
-    assert said["accel.quadratic"] == ["61", "88", "µg/g²", "4–99", "%", "prior", "widened", "3×"]
+    assert said["accel.quadratic"] == ["61", "88", "µg/g²", "4–99", "%", "3", "times", "the", "usual", "size"]
     assert said["accel.delay"] == ["2.000", "0.050", "ms", "100", "%"]
     assert said["gyro.asymmetry"] == ["not", "determined"]
     of_parameters = {line.split()[0]: line.split()[1:] for line in whole[:groups] if line.strip()}
@@ -298,12 +298,12 @@ def test_groups_of_refused_sensors_that_are_accepted_are_named_in_the_terminal_t
 
 def test_a_calibration_shows_priors_and_what_was_learned(full: Calibration) -> None:
     lines = {line.split()[0]: line.split() for line in full.table().splitlines()[1:] if line}
-    assert lines["parameter"][-3:] == ["dof", "prior", "learned"]
+    assert lines["parameter"][-4:] == ["dof", "prior", "from", "data"]
     assert lines["accel.delay"][-4:] == ["6", "5", "100", "%"]
     u, k, expanded = (float(lines["accel.delay"][column]) for column in (2, 3, 4))
     assert k == pytest.approx(full["accel.delay"].k, abs=0.005)
     assert expanded == pytest.approx((full["accel.delay"].k or 0.0) * u, rel=0.05)
-    assert "<th>learned</th>" in full._repr_html_()
+    assert "<th>from data</th>" in full._repr_html_()
     frame = full.to_polars()
     assert frame["learned"].to_list()[-4:] == [0.99, 0.04, 0.9999, 0.5]
     assert frame["k"].to_list() == [p.k for p in full.parameters]
@@ -363,6 +363,27 @@ def test_what_was_assumed_of_the_log_is_said_once_where_the_result_is_read(full:
         lines = lines_of(calibration_blocks(with_fields(full, assumptions=(doubt,)), every=every))
         assert lines.count(f"remark: {doubt}") == 1
     assert doubt in with_fields(full, assumptions=(doubt,)).table()
+
+
+def test_remarks_are_in_the_order_of_their_harm(full: Calibration) -> None:
+    """What is unexplained, then turns that were lost, then what u does not contain, then what it does."""
+    assumed = (
+        "the height is not stated: 4 mm/s² are in u of accel.scale",
+        "the time base is not stated: 30 ppm, usual for time stamps of a crystal, is in u of gyro.scale",
+        "beyond these temperatures the result is hardly valid",
+    )
+    made = with_fields(full, assumptions=assumed, outcome=Outcome(remarks=("the residuals are large",)))
+    lost = tuple(f"turn from rest {i} to rest {i + 1} is left out: samples are lost in it" for i in range(1, 5))
+    for notes, said in (((), "the residuals are large"), (lost, f"{lost[0]} (and 3 more)"), (lost[:1], lost[0])):
+        made = with_fields(made, notes=notes)
+        lines = [line for line in lines_of(calibration_blocks(made)) if line.startswith("remark: ")]
+        assert f"remark: {said}" in lines
+        every = [line.removeprefix("remark: ") for line in lines_of(calibration_blocks(made, every=True))]
+        order = [every.index(line) for line in ("the residuals are large", assumed[2], assumed[0], assumed[1])]
+        assert order == sorted(order)
+    made = with_fields(made, outcome=Outcome(remarks=("one", "two", "three")))
+    lines = [line for line in lines_of(calibration_blocks(made)) if line.startswith("remark: ")]
+    assert lines == ["remark: one", "remark: two", f"remark: {lost[0]}"]
 
 
 def test_of_a_refused_session_no_numbers_are_printed_and_the_next_command_looks_at_it(full: Calibration) -> None:

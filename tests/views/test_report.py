@@ -312,14 +312,14 @@ def test_groups_have_a_section_with_their_priors(with_groups_page: Page) -> None
     page = with_groups_page
     assert [heading.partition(" ")[2] for heading in page.headings][:3] == ["Result", "Notes", "How to apply it"]
     assert len(page.table("parameter", "value", "U (95 %)", "unit")) == 21
-    known, unknown = page.table("group", "largest", "learned")
+    known, unknown = page.table("group", "largest", "from data")
     assert known["what it is"] == "quadratic nonlinearity of the accelerometers, K₂"
     assert known["unit"] == "µg/g²"
     assert number(known["largest"]) == pytest.approx(3e-5 * G_STANDARD * 1e6, abs=5.0)
-    assert known["learned"] == "96 %"
-    assert known[""] == "prior widened 2.5×"
+    assert known["from data"] == "96 %"
+    assert known[""] == "2.5 times the usual size"
     assert (unknown["group"], unknown[""]) == (SCRIPT, "not determined")
-    (row,) = page.table("parameter", "u", "k", "prior", "learned")
+    (row,) = page.table("parameter", "u", "k", "prior", "from data")
     assert row["parameter"] == "accel.quadratic.x"
     assert number(row["k"]) == pytest.approx(2.65, abs=0.02)
     assert "corrected specific force at 1 g: u 1.7 µg; corrected rate at 23 °/s: u 0.41 °/h" in page.whole

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
+from click.core import ParameterSource
 
 from tumble.commands.params import AS_JSON
 
@@ -92,7 +93,9 @@ def _first_clauses(reason: str) -> str:
 
 def _quiet() -> bool:
     context = click.get_current_context(silent=True)
-    return context is not None and bool(context.find_root().params.get("quiet"))
+    while context is not None and context.get_parameter_source("quiet") is not ParameterSource.COMMANDLINE:
+        context = context.parent
+    return context is not None
 
 
 SHOWN = 20  # failed tasks that are listed on standard error

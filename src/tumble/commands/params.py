@@ -25,11 +25,13 @@ _Option = Callable[[_Command], _Command]
 
 
 class _NamedPath(click.Path):
-    """A path that is not empty: an unset variable would otherwise mean the working folder."""
+    """A path that is neither empty, as of an unset variable, which would mean the working folder, nor `-`, by which
+    others mean a stream."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        if value == "":
-            self.fail("expected a path, found an empty one", param, ctx)
+        if value in ("", "-"):
+            found = "'-', and no stream is read or written" if value else "an empty one"
+            self.fail(f"expected a path, found {found}", param, ctx)
         inside = Path(value) / "calibration.json"
         if not self.dir_okay and "\0" not in str(value) and inside.is_file():
             self.fail(f"expected a file, found a folder; its calibration is {inside}", param, ctx)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from tumble.commands import console, params
-from tumble.errors import GyrosAloneError, InputError
+from tumble.errors import GyrosAloneError, InputError, tables_at
 
 if TYPE_CHECKING:
     from tumble.drafting.draft import Draft
@@ -74,14 +74,16 @@ def session_folders(
         )
     from tumble.drafting.made_session import session_of_log
 
-    with session_of_log(first, params.given_of(options), console.with_progress) as (folder, state, sentences, faults):
+    with session_of_log(first, params.given_of(options), console.with_progress) as (folder, state, sentences):
         for sentence in sentences:
             if every or _ALWAYS_PRINTED.search(sentence):
                 console.say(sentence)
-        for fault in faults:
-            console.warn(f"look at this: {fault}")
+        try:
+            yield [folder]
+        except InputError as error:
+            end = tables_at("a session.toml, which `tumble new SESSION LOG` writes", error.for_command_line)
+            raise type(error)(error.for_command_line + end) from error
         console.say(state)
-        yield [folder]
 
 
 def check_recordings(recordings: Sequence[Path]) -> None:
@@ -92,6 +94,8 @@ def check_recordings(recordings: Sequence[Path]) -> None:
                 if re.match(rb'\s*\{\s*"format"', file.read(100)):
                     raise InputError(f"{path}: expected a session or a log, found a calibration file")
     if len(recordings) > 1 and (log := next(filter(is_log, recordings), None)) is not None:
+        if (missing := next((path for path in recordings if not path.exists() and not is_log(path)), None)) is not None:
+            raise InputError(f"{missing}: expected a session or a log, found no such file or folder")
         raise InputError(
             f"{log}: expected one log, or sessions, found a log among {len(recordings)} arguments; positions of one "
             "recording: `tumble calibrate 'PATTERN'`, in quotes, or `tumble new SESSION FILE …`; else a session of each"

@@ -26,7 +26,6 @@ SHARE_OF_ACCELEROMETERS = 0.1
 """Norm of the accelerometer part of a combination of unit length; a smaller part comes from unknown gyros."""
 SHORTEST_TURN = 1e-9  # rad: a shorter turn has no axis
 MOST_NAMES = 21  # parameters that are listed one by one
-POORLY_OBSERVABLE = "poorly observable in this session"  # start of a refusal for want of rests or turns
 
 
 def linear_names(names: Sequence[str]) -> tuple[str, ...]:
@@ -57,8 +56,9 @@ def undetermined(estimate: Estimate, observations: Observations, missing: tuple[
             terms = " ".join(f"{'+' if sign * combination[i] > 0 else '−'} {estimate.names[i]}" for i in parts)
             described.append(f"{terms.removeprefix('+ ')} (known to {100.0 * each_u:.2g} % of its usual size)")
         helpful = _most_helpful(estimate, observations, combinations)
-        sentence = _joined(f"{POORLY_OBSERVABLE}: {'; '.join(described)}", helpful)
-        concerned = _groups_of([estimate.names[i] for parts in largest for i in parts])
+        sentence = _joined(f"poorly observable in this session: {'; '.join(described)}", helpful)
+        # accelerometers first: if they are among them, rests are missing, and they are no better alone
+        concerned = tuple(sorted(_groups_of([estimate.names[i] for parts in largest for i in parts])))
         findings.append(Finding(sentence=sentence, concerns=concerned, refuses=refused))
     return findings
 

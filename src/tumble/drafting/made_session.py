@@ -1,14 +1,16 @@
 """The session that `calibrate LOG` makes beside a log, and reuses if the content of the log is the same.
 
 `made.json` in the session's folder has the hash of the log, the stated options, the version, and the files made. The
-same log with the same options has the same session, with any corrections by hand; a renamed log keeps the serial number
-of its first name unless one is stated. With other options the session is made anew, unless it was corrected by hand.
+same log with the same options, or none, has the same session, with any corrections by hand; a renamed log keeps the
+serial number of its first name unless one is stated. With other options the session is made anew, unless it was
+corrected by hand.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import os
 import re
 import secrets
 import shutil
@@ -32,10 +34,8 @@ _RESULT = "calibration.json"
 
 
 @contextmanager
-def session_of_log(
-    log: Path, given: Given, progress: Progress
-) -> Iterator[tuple[Path, str, Sequence[str], Sequence[str]]]:
-    """Yield the folder of the session of a log, its origin in words, remarks on each part, and faults.
+def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tuple[Path, str, Sequence[str]]]:
+    """Yield the folder of the session of a log, its origin in words, and remarks on each part.
 
     A session that is made here is removed, or the former one put back, if the block fails. Raises InputError for a log
     that cannot be read, and if a session corrected by hand would be made anew."""
@@ -43,14 +43,18 @@ def session_of_log(
     stem = re.sub(r"[*?\[\]]", "", log.name)
     for ending in (".gz", ".zst"):
         stem = stem.removesuffix(ending)
-    stem = Path(stem).stem or "log"
-    _bring_back(log.parent, f"{stem}*-session")
+    stem = Path(f"_{stem}").stem[1:].lstrip("-. ") or "log"  # neither hidden nor like an option
     digest = _digest(log)
+    first, second = (log.with_name(f"{name}-session") for name in (stem, f"{stem}-{digest[:8]}"))
+    _bring_back(first)
+    _bring_back(second)
     folder = next((f for f in sorted(log.parent.glob("*-session")) if _made(f).get("log_sha256") == digest), None)
     made = {} if folder is None else _made(folder)
     former = made.get("given", {}).get("serial", stem)
     default = former if folder is not None and folder.name.startswith(f"{former}-") else stem
     whose = "" if given.serial or default == stem else f" (serial number {default!r})"
+    if given == Given():  # what was stated before holds
+        given = Given(**{key: value for key, value in made.get("given", {}).items() if key in asdict(given)})
     given = replace(given, serial=given.serial or default)
     stated, origin = {key: value for key, value in asdict(given).items() if value}, ""
     content = {"log_sha256": digest, "given": json.loads(json.dumps(stated)), "version": __version__}
@@ -59,7 +63,7 @@ def session_of_log(
         if made.get("given") == content["given"] and (edited or made.get("version") == __version__):
             by_hand = ", corrected by hand" if edited else ""
             with in_use(folder, shared=True):
-                yield folder, f"{folder / SESSION_FILE}: the session made of this log before{whose}{by_hand}", [], []
+                yield folder, f"{folder / SESSION_FILE}: the session made of this log before{whose}{by_hand}", []
             return
         if edited:
             raise InputError(
@@ -71,12 +75,14 @@ def session_of_log(
             f"{former!r}; "
         )
     else:
-        folder = log.with_name(f"{stem}-session")
-        with in_use(folder, shared=True):  # it may be being made
+        with in_use(first, shared=True):  # it may be being made
             pass
-        folder = folder if not folder.exists() else log.with_name(f"{stem}-{digest[:8]}-session")
+        folder = second if first.exists() else first
+        if not os.access(log.parent, os.W_OK):
+            advice = f"copy the log, or make a session elsewhere: tumble new SESSION {log}"
+            raise InputError(f"{folder}: expected a folder that can be made, found {log.parent} read-only; {advice}")
     with _put_aside(folder), nothing_left(folder) as output:
-        draft, faults = written_session(output, log, given, progress)
+        draft, _ = written_session(output, log, given, progress)
         content["session_sha256"] = _sha256(folder / SESSION_FILE)
         content["files"] = [file.name for file in output.written]
         with whole_file(output.new_file(MADE)) as temporary:
@@ -84,7 +90,7 @@ def session_of_log(
         origin += f"kept in {folder / SESSION_FILE}"
         if draft.magnetometer is not None:
             origin += ", where the magnetometer is commented out: remove the # to calibrate it too"
-        yield folder, origin, draft.remarks, faults
+        yield folder, origin, draft.remarks
 
 
 @contextmanager
@@ -103,14 +109,13 @@ def _put_aside(folder: Path) -> Iterator[None]:
         except BaseException:
             aside.rename(folder)
             raise
-    _bring_back(folder.parent, folder.name)
+    _bring_back(folder)
 
 
-def _bring_back(parent: Path, names: str) -> None:
-    """Move back files that were put aside: those of the user if the session was made anew, all if the process was
-    killed."""
-    for aside in parent.glob(f".{names}.*/"):
-        folder = parent / aside.name[1:].rpartition(".")[0]
+def _bring_back(folder: Path) -> None:
+    """Move back files of a folder that were put aside: those of the user if the session was made anew, all if the
+    process was killed."""
+    for aside in folder.parent.glob(f".{folder.name}.*/"):
         with in_use(aside):  # not by the process that makes the session anew
             if not _made(folder):
                 shutil.rmtree(folder, ignore_errors=True)

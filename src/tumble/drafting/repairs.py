@@ -20,6 +20,7 @@ from tumble.recording.columns.names import ACCEL, MAGNETOMETER
 from tumble.recording.formats import TIME
 from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import GAP_STEP
+from tumble.units import Array
 
 _XSENS_TICK = 1e-4  # s, of SampleTimeFine
 _NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
@@ -27,6 +28,7 @@ _BLANK_SHARE = 0.02  # of rows without readings; a larger share are rows of othe
 _READ_SHARE = 0.5  # least share of its sensors that a sample has; a row of words and other numbers has fewer
 _FEWEST_ROWS = 50
 _POSITION_JUMP = 0.2  # of gravity
+_STILL_SHARE, _NOISE_SIGMAS = 0.01, 5.0  # of a jump: rows of a position drift less, those of a turn more
 _LABEL = re.compile(
     r"part|pos(ition)?|pose|label|section|segment|step|lage|stellung|положение|позиция|位置", re.IGNORECASE
 )
@@ -190,7 +192,8 @@ def _successive_positions(log: ForeignLog) -> tuple[list[tuple[int, int]] | None
             before, behind = accel[max(row - 10, 0) : row], accel[row : row + 10]
             scatter = max(np.ptp(before, axis=0).max(), np.ptp(behind, axis=0).max())
             jump = float(np.linalg.norm(behind.mean(axis=0) - before.mean(axis=0)))
-            if not (scatter < 0.5 * jump and scatter < _POSITION_JUMP * size):
+            turns = any(_drift(rows) > _STILL_SHARE * jump for rows in (before, behind))  # whose middle is lost
+            if turns or not (scatter < 0.5 * jump and scatter < _POSITION_JUMP * size):
                 return None, ""
     if len(starts) < 3:
         return None, ""
@@ -202,3 +205,10 @@ def _successive_positions(log: ForeignLog) -> tuple[list[tuple[int, int]] | None
             "each position and give the table to `tumble ellipsoid`"
         )
     return edges, f"{len(edges)} positions one below the other without turns: a file each"
+
+
+def _drift(rows: Array) -> float:
+    """Return by how much the means of the halves of rows (m, 3) differ beyond _NOISE_SIGMAS of their noise."""
+    half = len(rows) // 2
+    change = np.linalg.norm(rows[half:].mean(axis=0) - rows[:half].mean(axis=0))
+    return float(change - _NOISE_SIGMAS * np.linalg.norm(np.diff(rows, axis=0).std(axis=0)) / (len(rows) / 2) ** 0.5)

@@ -101,9 +101,10 @@ def target(name: str) -> Target:
     """Return the target with a name. Raises InputError for any other name."""
     found = _find(name)
     if found is None:
-        longer = next((each for each in targets() if name and each.startswith(name)), name)
-        advice = did_you_mean("c" if name.lower() in ("arduino", "esp32", "stm32") else longer, targets())
-        raise InputError(f"export: expected one of {', '.join(targets())}, found {name!r}{advice}")
+        lower = name.lower()
+        longer = next((each for each in targets() if name and each.startswith(lower)), name)
+        advice = did_you_mean("c" if lower in ("arduino", "esp32", "stm32") else longer, targets())
+        raise InputError(f"--to: expected one of {', '.join(targets())}, found {name!r}{advice}")
     return found if isinstance(found, Target) else _template_target(found, name)
 
 

@@ -7,11 +7,12 @@ and row numbers for messages (`rows.timed`). Short gaps are bridged (`rows.gaps`
 from __future__ import annotations
 
 import datetime as dt
+import filecmp
 import hashlib
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from itertools import product
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from tumble.brief import Brief
 from tumble.errors import LogError, TumbleError, did_you_mean
 from tumble.recording.log_source import LogSource, first_numbers, readable
 from tumble.recording.readers import TableLog, source_of
-from tumble.recording.rows.gaps import Bridge, Gap, Grid
+from tumble.recording.rows.gaps import Bridge, Gap, Grid, seconds_of_stamps
 from tumble.recording.rows.timed import burst_grid, check_head, regular_grid, rounded_grid, rows_of
 from tumble.recording.session import LogSpec, Session
 from tumble.units import ZERO_CELSIUS, Array
@@ -172,6 +173,9 @@ def open_log(session: Session) -> Log:
         )
     spec, heads = session.log, list[Array]()
     sources = tuple(source_of(file, spec.dialect) for file in spec.files)
+    for one, other in combinations([file for file in spec.files if isinstance(file, Path)], 2):
+        if one.stat().st_size == other.stat().st_size and filecmp.cmp(one, other, shallow=False):
+            raise LogError(f"{other}: holds the same recording as {one}; name every recording once")
     for source, column in product(sources, spec.columns):
         if column not in source.names:
             shown = ", ".join(source.names[:12]) + (", …" if len(source.names) > 12 else "")
@@ -191,7 +195,7 @@ def open_log(session: Session) -> Log:
         elif spec.regular:
             grids.append(regular_grid(source, spec))
         else:  # the median over the first rows; the mean over all rows for increments with rounded stamps
-            time = check_head(source, spec, head * spec.time_factor)
+            time = check_head(source, spec, seconds_of_stamps(head, spec))
             grid = Grid(start=float(time[0]), interval=float(np.median(np.diff(time))))
             rounded = rounded_grid(source, spec, grid.interval) if any(spec.increments.values()) else None
             grids.append(rounded or burst_grid(source, spec, time) or grid)

@@ -97,7 +97,7 @@ def group_lines(calibration: Calibration) -> tuple[GroupLine, ...]:
         ends = [f"{100.0 * end(learned):.0f}" for end in (min, max)] if learned and largest is not None else []
         remark = "not determined" if largest is None else ""
         if largest is not None and finding is not None and finding.prior_widened > WIDENED:
-            remark = f"prior widened {finding.prior_widened:.2g}×"
+            remark = f"{finding.prior_widened:.2g} times the usual size"
         lines.append(
             GroupLine(
                 name=name,
@@ -141,8 +141,9 @@ def decided_by_priors(calibration: Calibration) -> str | None:
     if ratio <= OPEN_BIAS_RATIO:
         return None
     return (
-        f"a prior, not the data, decides u of {'; '.join(groups)}: u of a single bias is up to {ratio:.1f} times that "
-        "of the corrected specific force; rests in oblique attitudes (corners, edges) would settle it: tumble plan"
+        f"the usual size, not the data, decides u of {'; '.join(groups)}: u of a single bias is up to "
+        f"{ratio:.1f} times that of the corrected specific force; rests in oblique "
+        "attitudes (corners, edges) would settle it: tumble plan"
     )
 
 

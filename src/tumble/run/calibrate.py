@@ -20,7 +20,7 @@ from tumble.diagnosis import linear_model
 from tumble.diagnosis.in_motion import improves, motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
-from tumble.diagnosis.undetermined import POORLY_OBSERVABLE, one_attitude
+from tumble.diagnosis.undetermined import one_attitude
 from tumble.diagnosis.verdict import doubtful_time_base, unused_quiet_time
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
@@ -137,7 +137,7 @@ def calibrate(
     <Calibration of A-0007: joint, 51 parameters, accepted>
     """
     if terms not in get_args(Terms):
-        raise InputError(f"terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")
+        raise InputError(f"--terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")
     rates = arrays.get("gyro")
     if session is None and arrays.get("accel") is None and rates is not None:
         from tumble.run.gyros_alone import calibrate_gyros, gyro_rests
@@ -155,17 +155,17 @@ def calibrate(
     recording, stated = recording.without(without).of_known_scales(), recording
     methods: dict[str, Callable[..., Estimate]] = {**METHODS, **ITERATED_METHODS}
     if method not in methods:
-        raise InputError(f"method: expected one of {', '.join(methods)}, found {method!r}")
+        raise InputError(f"--method: expected one of {', '.join(methods)}, found {method!r}")
     if iterations is not None and method not in ITERATED_METHODS:
         raise InputError(
-            f"iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
+            f"--iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
             f"{iterations}; only {', '.join(ITERATED_METHODS)} take a number"
         )
     estimator: Estimator = methods[method] if iterations is None else partial(methods[method], iterations=iterations)
     if prior is not None and (method != "joint" or terms != "full"):
         raise InputError("prior: expected the method joint with all terms, which takes one, found another")
     if base is not None and (method != "joint" or terms != "full" or prior is not None or frame != "accelerometer"):
-        raise InputError("base: expected the method joint with all terms, no prior and no frame, found others")
+        raise InputError("--base: expected the method joint with all terms, no prior and no frame, found others")
     if frame != "accelerometer":
         Convention(frame=frame, block=recording.accel_block)
     base_calibration = None if base is None else calibration_from(base)
@@ -231,7 +231,6 @@ def _calibrated(
         faults = (*observed.gyro_faults, *observed.gyro_bias_faults)
         concerned = [calibration.outcome.concerns.get(reason, ("",))[0] for reason in calibration.outcome.accel.reasons]
         by_gyros = bool(concerned) and all(part.startswith("gyro") for part in concerned)
-        by_gyros &= not any(reason.startswith(POORLY_OBSERVABLE) for reason in calibration.outcome.accel.reasons)
         if by_gyros and method == "joint" and not isinstance(observations, Outcome):
             accel_result = estimate_observations(session, observations.of_accelerometers(), *options)
             if not isinstance(accel_result, Outcome):

@@ -372,14 +372,14 @@ def temperature_notes(estimate: Estimate, observations: Observations) -> Iterato
     if not over_a_range(observations):
         yield (
             f"temperatures span {np.ptp(kelvin):.1f} K, less than {OVER_TEMPERATURE:.0f}: coefficients over "
-            "temperature come mostly from their priors; take sessions at temperatures further apart"
+            "temperature have mostly their usual sizes; take sessions at temperatures further apart"
         )
         return
     thermal = [group for group in estimate.groups if variable_of(group.name) in THERMAL]
     unseen = [group.name for group in thermal if not group.kept]
     if at_two_temperatures(observations):
         yield (
-            "coefficients t2 come from their priors, which are in u of biases and scale factors at the reference "
+            "coefficients t2 have their usual sizes, which are in u of biases and scale factors at the reference "
             "temperature: two temperatures show slopes and no curvature; take a third between them"
         )
     elif unseen:
@@ -389,7 +389,7 @@ def temperature_notes(estimate: Estimate, observations: Observations) -> Iterato
         turned = kelvin[np.concatenate([turns.first[is_turn], turns.last[is_turn]])]
         if np.ptp(turned) < 0.5 * np.ptp(kelvin):
             yield (
-                f"turns span {span(turned)} only: beyond that the change of scale factors comes from its prior; turn "
+                f"turns span {span(turned)} only: beyond that the change of scale factors has its usual size; turn "
                 "at the other temperatures too"
             )
     lags = [float(estimate.u[estimate.names.index(name)]) for name in LAGS if name in estimate.names]

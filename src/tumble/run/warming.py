@@ -401,7 +401,7 @@ def _assumptions(observations: Observations, base: Calibration | None) -> Iterat
     span = float(np.ptp(_kelvin(observations), axis=0).max())
     if span < WIDE:
         yield (
-            f"the temperatures span {span:.1f} K, less than {WIDE:.0f}: curvatures come from their priors, and beyond "
+            f"the temperatures span {span:.1f} K, less than {WIDE:.0f}: curvatures have their usual sizes, and beyond "
             "these temperatures the result is hardly valid; warm or cool the device through those of its use"
         )
     if base is not None and base.reference_temperature is None:

@@ -13,6 +13,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from tumble.errors import InputError
 from tumble.sensors.model import Block, SensorModel
 from tumble.sensors.parameters import (
     CONSTANT,
@@ -190,7 +191,11 @@ class Instrument:
         for group in self.further:
             if group.regressors is not None:
                 block = self.block(group)
-                out[self.rows(block), :, self.members[group.name]] = group.regressors(block)
+                regressors = group.regressors(block)
+                if group.kind == "accel" and np.any(regressors[:, RATE]):  # a correction has the force before the rate
+                    expected = "expected no terms in the rate, which no correction of accelerometers removes"
+                    raise InputError(f"{group.name}: {expected}, found some; leave them out in its package")
+                out[self.rows(block), :, self.members[group.name]] = regressors
         return out
 
     @cached_property

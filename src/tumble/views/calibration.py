@@ -16,6 +16,7 @@ import numpy as np
 
 from tumble.diagnosis.in_motion import IN_MOTION
 from tumble.diagnosis.verdict import gravity_text
+from tumble.errors import IN_MEMORY, tables_at
 from tumble.files import FilePath
 from tumble.reduction.rests.warming import OVER_TEMPERATURE
 from tumble.result.accepted import accepted_kinds
@@ -39,10 +40,10 @@ from tumble.sensors.parameters import group_name, within_group
 from tumble.units import Array, engineering
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.numbers import (
+    FROM_DATA,
     cells,
     device_name,
     factor,
-    fixed,
     percent,
     quantity_table,
     run_to_run,
@@ -181,7 +182,9 @@ def calibration_blocks(
         there = "the rests and turns that were found" if evidence.rests else "what was found in the recording"
         following = f"next: tumble inspect {shlex.quote(str(session))} ({there})"
     height = len(text_of([*blocks, Items(items=(*lines, "")), following], WIDTH).splitlines())
-    return [*blocks, Items(items=(*lines, *_fitting_remarks(calibration, MAX_LINES - height))), following]
+    remarks = _fitting_remarks(calibration, MAX_LINES - height)
+    remarks[-1] += tables_at(f"{session}/session.toml", *remarks, *calibration.outcome.reasons)
+    return [*blocks, Items(items=(*lines, *remarks)), following]
 
 
 MAX_LINES, WIDTH, MAX_REMARKS = 24, 100, 3  # lines, characters of a line, remarks without --all
@@ -192,22 +195,27 @@ def remarks_of(calibration: Calibration) -> tuple[str, ...]:
     assumptions on log and place, and biases decided by priors."""
     decided, origin = decided_by_priors(calibration), calibration.provenance
     others = [sentence for sentence in origin.assumptions if sentence not in origin.doubts]
-    others.sort(key=lambda sentence: "usual for time stamps" in sentence)  # some ppm, the least harmful
+    # what u contains is less harmful, some ppm of time stamps the least
+    others.sort(key=lambda sentence: (" in u of " in sentence) + ("usual for time stamps" in sentence))
     if not accepted_kinds(calibration):  # only a misread log may be the cause
         others = []
     return (*origin.doubts, *calibration.outcome.remarks, *others, *([decided] if decided is not None else []))
 
 
 def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
-    """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, and a line on the others."""
-    notes, shown = calibration.provenance.notes, list[str]()
-    lost = [note for note in notes if note.startswith("turn ") and " is left out" in note]
-    remarks = (*remarks_of(calibration), *lost)
+    """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, and a line on the others.
+
+    Turns that were left out are in u, so they come after doubts and unexplained residuals and before assumptions."""
+    notes, shown, remarks = calibration.provenance.notes, list[str](), [*remarks_of(calibration)]
+    if lost := [note for note in notes if note.startswith("turn ") and " is left out" in note]:
+        place = len(calibration.provenance.doubts) + len(calibration.outcome.remarks)
+        more = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
+        remarks.insert(min(place, MAX_REMARKS - 1), lost[0] + more)
     for remark in remarks[:MAX_REMARKS]:
         if shown and len(text_of([Items(items=(*shown, f"remark: {remark}"))], WIDTH).splitlines()) > max_lines:
             break
         shown.append(f"remark: {remark}")
-    hidden = {"remark": len(remarks) - len(shown), "note": len(notes) - len(lost)}
+    hidden = {"remark": len(remarks) - len(shown), "note": len(notes) - (len(lost) == 1)}
     counted = [f"{count} {what}{'s' * (count > 1)}" for what, count in hidden.items() if count]
     return [*shown, f"more with --all: {', '.join([*counted, 'all tables'])}"]
 
@@ -232,7 +240,7 @@ def parameter_table(
     """Return a table of parameters with u and, if any, coverage factors other than 2 with U, deviations from the
     systematic values and between launches; with `truth` also true values and (value − truth)/u.
 
-    With `whole` it has U, degrees of freedom, priors and learned fractions."""
+    With `whole` it has U, degrees of freedom, priors and what the data told beyond them."""
     several, factors = bool(calibration.evidence.launches), has_other_factors(parameters)
     passport, priors = (any(getattr(p, name) is not None for p in parameters) for name in ("deviation", "prior"))
 
@@ -247,7 +255,7 @@ def parameter_table(
         if whole:
             row["dof"] = "" if p.dof is None else f"{p.dof:.0f}" if p.k else f"{p.dof:.1g}"
         if whole and priors:
-            row |= {"prior": "" if p.prior is None else f"{p.prior / size:.2g}", "learned": percent(p.learned)}
+            row |= {"prior": "" if p.prior is None else f"{p.prior / size:.2g}", FROM_DATA: percent(p.learned)}
         if truth is None:
             return row
         true = truth.get(p.name) if p.u else None
@@ -276,8 +284,8 @@ _PER_ROW = 3  # parameters
 
 
 def group_table(calibration: Calibration, *, on_page: bool = False) -> Table:
-    """Return a table with a row for each group beyond the linear model: largest |value| with u, learned fraction,
-    widening of its prior; `on_page` also its meaning and prior."""
+    """Return a table with a row for each group beyond the linear model: largest |value| with u, fraction learned from
+    the data, and its size if that is unusual; `on_page` also its meaning and prior."""
     rows = []
     for line in group_lines(calibration):
         largest = line.largest
@@ -286,7 +294,7 @@ def group_table(calibration: Calibration, *, on_page: bool = False) -> Table:
         row = {"group": line.name} | ({"what it is": line.words} if on_page else {})
         row |= {"largest": value, "u (k=1)": u} | ({"prior": prior} if on_page else {})
         rows.append(
-            row | {"unit": line.shown if largest or on_page else "", "learned": line.learned_percent, "": line.remark}
+            row | {"unit": line.shown if largest or on_page else "", FROM_DATA: line.learned_percent, "": line.remark}
         )
     return table(rows, words=("group", "what it is", "unit", ""), dense=True)
 
@@ -305,9 +313,8 @@ def unknown_blocks(calibration: Calibration) -> list[Block]:
     blocks: list[Block] = [table(rows, words=("unknown", "what it is", "unit"), dense=True)]
     if (integral := calibration.evidence.integral) is not None:
         blocks.append(
-            f"integrated over them at {integral.points} points, effectively {integral.effective:.0f}; shape of the "
-            f"Pareto distribution of their weights {fixed(integral.pareto, 2)}; by two sets of points values and u err "
-            f"by up to {100.0 * integral.u_error:.1f} % of u"
+            f"averaged over them at {integral.points} points, effectively {integral.effective:.0f}; with others values "
+            f"and u would differ by up to {100.0 * integral.u_error:.1f} % of u"
         )
     units, rows = shown_units(calibration.parameters), []
     for bias in (each for each in calibration.evidence.process_bias if each.name in units):
@@ -409,10 +416,11 @@ def as_html(calibration: Calibration) -> str:
 def _notebook_blocks(calibration: Calibration) -> list[Block]:
     outcome = calibration.outcome
     sentences = (*outcome.reasons, *remarks_of(calibration))
-    notes = tuple(f"note: {note}" for note in calibration.provenance.notes)
+    notes = calibration.provenance.notes
+    notes += tuple(filter(None, [tables_at(IN_MEMORY, *sentences, *notes).removeprefix("; ")]))
     return [
         calibration.headline,
         *([Items(items=sentences)] if sentences else []),
         parameter_table(calibration, calibration.parameters, whole=True),
-        *([Items(items=notes)] if notes else []),
+        *([Items(items=tuple(f"note: {note}" for note in notes))] if notes else []),
     ]

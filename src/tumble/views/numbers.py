@@ -18,6 +18,7 @@ from tumble.units import engineering, rounded, two_digits
 from tumble.views.blocks import Table, table
 
 NONE = "—"  # on a page, in place of a number
+FROM_DATA = "from data"  # heading of `Parameter.learned`, by which part the data reduced the variance of the prior
 
 
 class Named(Protocol):

@@ -1,7 +1,7 @@
 """Gaps: runs of lost samples in a file.
 
-A sample is lost if its row is missing or cannot be read, or if one of its numbers is not finite or beyond 1e30. What
-is done with a run depends on its length:
+A sample is lost if its row is missing or cannot be read, or if one of its numbers is not finite or beyond those of
+64 bits. What is done with a run depends on its length:
 
 * At most five samples are bridged: missing rows are inserted at evenly spaced times, and numbers that are not finite
   are interpolated linearly in time between their neighbours.
@@ -40,8 +40,9 @@ REGULAR_HINT = (
     "rate= instead of time="
 )
 _SHORTEST_LOG = 2.0  # s
-_LARGEST = 1e30
-"""Larger than any reading of a sensor or a clock in any unit; its tenth power is finite."""
+_LARGEST = math.nextafter(2.0**63, 0.0)
+"""Largest number that can be a reading: the limits of integers of 64 bits stand for no value, and no sensor or clock
+reaches them in any unit. Its tenth power is finite."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -77,6 +78,11 @@ class Gap:
 def is_reading(numbers: Array) -> BoolArray:
     """Return which numbers can be readings of a sensor or a clock: finite and not beyond `_LARGEST`."""
     return np.asarray(np.abs(numbers) <= _LARGEST)
+
+
+def seconds_of_stamps(stamps: Array, spec: LogSpec) -> Array:
+    """Return time stamps of a log in s, with NaN for those that are no times."""
+    return np.where(is_reading(stamps), stamps * spec.time_factor, np.nan)
 
 
 def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array) -> Array:

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tumble.errors import LogError
-from tumble.recording.log_source import BLANK_LINE, Kind, LogSource, unread_error
+from tumble.recording.log_source import BLANK_LINE, Kind, LogSource, Unread, unread_error
 from tumble.recording.rows.gaps import (
     GAP_STEP,
     LEFT_OUT_FREE,
@@ -38,6 +38,7 @@ from tumble.recording.rows.gaps import (
     check_time,
     is_reading,
     runs_backwards,
+    seconds_of_stamps,
     side_by_side,
 )
 from tumble.recording.session import LogSpec
@@ -91,9 +92,7 @@ def leaping(time: Array, before: float, step: float) -> BoolArray:
 
 def _is_late(time: Array, before: float) -> BoolArray:
     """Return which times (m,) are no later than an earlier one, or than the time `before` them."""
-    finite = np.where(is_reading(time), time, -math.inf)
-    latest = np.maximum.accumulate(np.concatenate([[before], finite]))[: len(time)]
-    return np.asarray((time <= latest) & is_reading(time))
+    return np.asarray(time <= np.maximum.accumulate(np.concatenate([[before], time]))[: len(time)])
 
 
 def rows_of(
@@ -118,7 +117,7 @@ def rows_of(
     first = 1
     for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):
         numbers = np.arange(first, first + table.height)
-        time = table[spec.time].to_numpy() * spec.time_factor if spec.time is not None else np.empty(table.height)
+        time = np.empty(table.height) if spec.time is None else seconds_of_stamps(table[spec.time].to_numpy(), spec)
         values = side_by_side(table, spec.readings)
         yield timed.feed(LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread}))
         first += table.height
@@ -157,6 +156,11 @@ class _TimedRows:
         counted = self.on_grid and not self.grid.rounded  # stamps are ignored
         untimed = (None, self.spec.time) if not counted else ()
         faults = [u for u in rows.unread.values() if u.kind in (Kind.NO_ROW, Kind.CUT) or u.column in untimed]
+        if not counted and not is_reading(rows.time).all():
+            known = {u.row for u in faults}
+            without = (row for row in rows.numbers[~is_reading(rows.time)].tolist() if row not in known)
+            faults += [Unread(row=row, column=self.spec.time, found="", kind=Kind.TEXT) for row in without]
+            faults.sort(key=lambda u: u.row)
         if faults:
             is_row = np.ones(len(rows.numbers), dtype=bool)
             is_row[np.array([u.row for u in faults]) - rows.numbers[0]] = False
@@ -362,7 +366,7 @@ def _stamps(source: LogSource, spec: LogSpec) -> Array:
     for table, unread in source.tables([spec.time], spec.time if spec.clock else None):
         is_row = np.ones(table.height, dtype=bool)
         is_row[[u.row - first for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT)]] = False
-        parts.append(table[spec.time].to_numpy()[is_row] * spec.time_factor)
+        parts.append(seconds_of_stamps(table[spec.time].to_numpy()[is_row], spec))
         first += table.height
     stamps = np.concatenate(parts)
     return past_midnight(stamps) if spec.clock else stamps

@@ -29,6 +29,7 @@ from tumble.sensors.parameters import sensor_kind
 from tumble.views.blocks import Block, Facts, Figure, Items, Section, Table, Text, Tone, section, table
 from tumble.views.calibration import MEANING_OF_INCREMENTS, group_table, iteration_table, launch_table, unknown_blocks
 from tumble.views.numbers import (
+    FROM_DATA,
     NONE,
     cells,
     degrees,
@@ -159,16 +160,15 @@ def beyond(calibration: Calibration, *, groups: bool) -> Section | None:
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         value, u = cells(p.value, p.u, size)
         prior = "" if p.prior is None else significant(p.prior / size, 4)
-        return {"value": value, "u": u, "k": factor(p), "unit": unit, "prior": prior, "learned": percent(p.learned)}
+        return {"value": value, "u": u, "k": factor(p), "unit": unit, "prior": prior, FROM_DATA: percent(p.learned)}
 
     meaning = (
-        "Each group has a prior, the standard deviation over instruments of its grade or that of the data sheet; where "
-        "the data exceed it, it was widened. Learned is how much of the prior's variance the recording has taken off: "
-        "at 0 % only the prior is known."
+        "Each group has a prior, its usual size: the standard deviation over instruments of its grade or that of the "
+        "data sheet, or as many times that as the data show. From data is how much of the prior's variance the "
+        "recording has taken off: at 0 % only the prior is known."
     )
     caption = (
-        "u is the standard uncertainty, k u the half width of the interval of 95.45 %, prior a standard deviation, as "
-        "widened."
+        "u is the standard uncertainty, k u the half width of the interval of 95.45 %, prior a standard deviation."
     )
     blocks: list[Block] = [meaning]
     if groups:
