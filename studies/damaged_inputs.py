@@ -703,7 +703,7 @@ def _written_recordings(folder: Path, log: pl.DataFrame) -> None:
     record = log.select("ax", "ay", "az", "gx", "gy", "gz").to_numpy()
     for ending, write in (("bag", write_bag1), ("mcap", write_mcap), ("ulg", write_ulog), ("bin", write_bin)):
         write(folder / f"imu.{ending}", record)
-    write_bag2(folder / "ros2", record, warmth=np.full(len(record) // 10, 25.0))
+    write_bag2(folder / "ros2", record)
     np.savez(folder / "imu.npz", time=log["t"].to_numpy(), accel=record[:, :3], gyro=record[:, 3:])
     with ZipFile(folder / "imu.zip", "w") as archive:
         for name, columns in (("Accelerometer", ["ax", "ay", "az"]), ("Gyroscope", ["gx", "gy", "gz"])):

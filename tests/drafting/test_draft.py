@@ -252,7 +252,12 @@ def test_magnetometers_are_offered_as_a_comment_that_works(handheld: pl.DataFram
         ("T", 21.0, {"columns": ["T"], "unit": "degC"}, "temperature: T in degC (by its numbers)"),
         ("T", 294.0, {"columns": ["T"], "unit": "K"}, "temperature: T in K (by its numbers)"),
         ("temp_f", 70.0, {"columns": ["temp_f"], "unit": "degF"}, "temperature: temp_f in degF (from the name)"),
-        ("T", -5200.0, None, "temperature: T, about -5200, in no unit that is known; to use it, add [log.temperature]"),
+        (
+            "T",
+            -5200.0,
+            None,
+            "temperature: T, about -5200, is left out, for it is in no unit that is known",
+        ),
     ],
 )
 def test_the_unit_of_a_thermometer_is_found_or_asked_for(

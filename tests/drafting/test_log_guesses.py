@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ import pytest
 from tumble.diagnosis.turn_likelihood import WIDTHS
 from tumble.drafting.dialects import copy_as_tables, values_by_name
 from tumble.drafting.draft import Draft
-from tumble.drafting.foreign_log import count_samples
 from tumble.drafting.hypotheses import Evidence, length_and_zero, ranked_hypotheses
 from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column, times_without_column
@@ -79,13 +79,6 @@ def test_of_a_body_that_never_moves_the_accelerometers_read_gravity(read: Array)
     still = np.column_stack([read[:, 3:], read[:, 3:] + [0.6, 0.0, 0.8]])
     assert triads_of(still) == {ACCEL: ("4", "5", "6"), GYRO: ("1", "2", "3")}
     assert triads_of(still + 0.5) == {}
-
-
-def test_what_memory_was_filled_with_is_no_sample(read: Array) -> None:
-    assert count_samples(np.vstack([read, np.full((60, 6), 65535.0)])) == 600
-    assert count_samples(np.vstack([read, np.full((60, 6), np.nan), np.zeros((1, 6))])) == 600
-    assert count_samples(np.vstack([read, np.zeros((20, 6))])) == 620
-    assert count_samples(np.zeros((80, 6))) == 80
 
 
 def test_a_converter_has_its_zero_in_the_middle_where_it_writes_nothing_negative() -> None:
@@ -404,34 +397,6 @@ def test_of_several_times_that_is_taken_which_grows_from_row_to_row(
     assert "regular" not in draft.content["log"]
 
 
-def test_what_a_filter_has_left_without_gravity_is_said(tmp_path: Path) -> None:
-    rng = np.random.default_rng(6)
-    table = np.column_stack([0.01 * np.arange(2000), rng.normal(scale=0.7, size=(2000, 3)), rng.normal(size=(2000, 3))])
-    names = ["t", *(f"a{a}" for a in "xyz"), *(f"g{a}" for a in "xyz")]
-    pl.DataFrame(table, schema=names).write_csv(tmp_path / "log.csv")
-    draft, _ = new_session(tmp_path / "session", tmp_path / "log.csv")
-    assert any("gravity is not in them" in said for said in draft.remarks)
-
-
-def test_rows_of_sensors_whose_names_stand_in_comments(read: Array, tmp_path: Path) -> None:
-    """Logs of the app GetSensorData, as the competitions of IPIN have them."""
-    head = (
-        "% LogFile created by the 'GetSensorData' App.\n"
-        "% ACCE data: \t'ACCE;AppTimestamp(s);SensorTimestamp(s);Acc_X(m/s^2);Acc_Y(m/s^2);Acc_Z(m/s^2);Accuracy'\n"
-        "% GYRO data: \t'GYRO;AppTimestamp(s);SensorTimestamp(s);Gyr_X(rad/s);Gyr_Y(rad/s);Gyr_Z(rad/s);Accuracy'\n"
-    )
-    rows = []
-    for k, row in enumerate(read.tolist()):
-        for word, values, late in (("ACCE", row[:3], 0.0), ("GYRO", row[3:], 0.002)):
-            t = 0.01 * k + late
-            rows.append(f"{word};{t:.3f};{t + 1000.0:.3f};" + ";".join(f"{v:.5f}" for v in values) + ";3\n")
-        rows += [f"WIFI;{0.01 * k:.3f};{0.01 * k:.3f};Net;aa:bb;2412;-70\n"] if k % 100 == 0 else []
-    (tmp_path / "log.txt").write_text(head + "".join(rows))
-    draft, _ = new_session(tmp_path / "session", tmp_path / "log.txt")
-    assert [draft.content["log"][kind]["unit"] for kind in (ACCEL, GYRO)] == ["m/s^2", "rad/s"]
-    assert any("one log at the times of the gyros" in said for said in draft.remarks)
-
-
 @pytest.fixture(scope="module")
 def two_turns(tmp_path_factory: pytest.TempPathFactory) -> pl.DataFrame:
     """Three rests and two turns by hand, in SI, 50 samples per second."""
@@ -497,6 +462,11 @@ def test_counts_without_a_time_are_said_with_the_rates_that_would_fit_too(
     log = written(two_turns.drop("t").with_columns(t=pl.lit(0.0)), tmp_path / "log.csv", gyro=131.0 / DEGREE, digits=0)
     draft, _ = new_session(tmp_path / "session", log)
     assert any("rate_hz" in said and "from the turns" in said for said in draft.remarks)
-    found = draft.log[GYRO]["scale"] * draft.log["rate_hz"]
-    assert found == pytest.approx(131.0 * 50.0, rel=0.06)
-    assert any("would fit too: the gyros' scale factors depend on it" in doubt for doubt in draft.doubts)
+    assert "scale" not in draft.log[GYRO]
+    (doubt,) = draft.doubts
+    fitting = re.findall(r"([\d.]+) per deg/s at ([\d.]+) Hz", doubt)
+    assert len(fitting) == 3
+    assert float(fitting[0][0]) * float(fitting[0][1]) == pytest.approx(131.0 * 50.0, rel=0.06)
+    assert doubt.endswith("the accelerometers alone are calibrated, state --sample-rate")
+    stated, _ = new_session(tmp_path / "stated", log, Given(sample_rate=50.0))
+    assert stated.log[GYRO]["scale"] == 131.0

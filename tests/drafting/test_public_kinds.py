@@ -4,7 +4,6 @@ starts, dates and files; what is not sure stands in the session, with what hangs
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -17,7 +16,6 @@ from click.testing import CliRunner
 
 from tests.support.shared import session
 from tumble.cli import main
-from tumble.drafting.dialects import sentence, uniform_lines
 from tumble.drafting.new_session import Given, new_session
 from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
@@ -116,14 +114,6 @@ def test_names_before_the_values_below_boot_text(rows: Array, tmp_path: Path) ->
     ]
     (tmp_path / "log.txt").write_text("\n".join([*SERIAL * 5, *lines]) + "\n", encoding="utf-8")
     assert check_read(tmp_path / "s", tmp_path / "log.txt", rows) == ""
-
-
-@pytest.mark.parametrize("name", ["delta_ms", "t"])
-def test_a_column_of_intervals_by_its_name_or_its_numbers(name: str, rows: Array, tmp_path: Path) -> None:
-    intervals = np.rint(1e3 * np.diff(rows[:, 0], prepend=0.0)) + np.resize([-1.0, 1.0, 0.0, 0.0, 0.0], len(rows))
-    table = np.column_stack([intervals, rows[:, 1:]])
-    log = text(tmp_path / "log.csv", NAMES.replace("t", name, 1), table)
-    assert check_read(tmp_path / "s", log, rows) == ""
 
 
 def test_a_clock_that_grows_once_is_not_used(rows: Array, tmp_path: Path) -> None:
@@ -338,38 +328,6 @@ def test_dates_with_empty_cells_are_read_in_no_time(tmp_path: Path) -> None:
     assert process_time() - started < 5.0
 
 
-def of_novatel(rows: Array, name: str) -> str:
-    """Sentences with raw increments, 1e6 counts for 1 m/s and for 1 rad, axes in the order z, −y, x."""
-    lines = []
-    order, signs = [3, 2, 1, 6, 5, 4], np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
-    for row in rows:
-        counts = np.rint(1e6 * np.diff(rows[:2, 0]) * signs * row[order])
-        second = f"{484000.0 + row[0]:.3f}"
-        long = f"COM1,0,68.5,FINESTEERING,1692,{second},024c0040,6125,30019"
-        head, info = (long, "") if name.startswith("#") else (f"1692,{second}", "00,11,")
-        body = f"{name[1:]},{head};{info}1692,{second},00801503,{','.join(f'{c:.0f}' for c in counts)}"
-        lines.append(f"{name[0]}{body}*{~zlib.crc32(body.encode(), 0xFFFFFFFF) & 0xFFFFFFFF:08x}")
-    return "\n".join(lines) + "\n"
-
-
-@pytest.mark.parametrize("name", ["%RAWIMUSXA", "#RAWIMUA"])
-def test_raw_increments_of_novatel(name: str, rows: Array, tmp_path: Path) -> None:
-    (tmp_path / "log.txt").write_text(of_novatel(rows, name), encoding="ascii")
-    assert check_read(tmp_path / "s", tmp_path / "log.txt", rows) == ""
-    calibrated = CliRunner().invoke(main, ["calibrate", str(tmp_path / "s")])
-    assert calibrated.exit_code == 0, calibrated.stderr
-    readings = "43110635,-817242,-202184,-215194,-41188,-9895"
-    body = f"RAWIMUSXA,1692,484620.664;00,11,1692,484620.664389000,00801503,{readings}"
-    assert uniform_lines(["", "words", ""], sentence, "") is None
-    form = uniform_lines(
-        [f"%{body}*a5db8c7b"] * 9 + [f"%{body}*a5db8c7c"], sentence, ""
-    )  # of NovAtel's manual; damaged
-    assert form is not None
-    assert list(form.rows([f"%{body}*a5db8c7b"])) == [
-        ("", ["484620.664389000,-202184,817242,43110635,-9895,41188,-215194"])
-    ]
-
-
 @pytest.mark.parametrize("others", [["GPS,{t},45.1,7.6"], ["GPS,{t},45.1,7.6,240,9,1.2,3,0", "BARO,{t},1002,3"]])
 @pytest.mark.parametrize("names", ["", "kind,t,ax,ay,az,gx,gy,gz,T"])
 def test_rows_of_the_imu_among_those_of_others(others: list[str], names: str, rows: Array, tmp_path: Path) -> None:
@@ -393,14 +351,6 @@ def test_a_body_that_flies_without_names_of_columns(tmp_path: Path) -> None:
     new_session(tmp_path / "s", tmp_path / "log.txt")
     log = read_session(tmp_path / "s").log
     assert (log.accel.columns, log.accel.unit_name) == (("5", "6", "7"), "m/s^2")
-
-
-def test_numbers_without_their_sign_and_without_names(rows: Array, tmp_path: Path) -> None:
-    counts = np.rint(scaled(rows, 16384.0 * G, 131.0 * D)[:, 1:]) % 65536
-    text(tmp_path / "log.txt", "", np.column_stack([rows[:, 0], counts]), "\t")
-    check_read(tmp_path / "s", tmp_path / "log.txt", rows)
-    log = read_session(tmp_path / "s").log
-    assert log.accel.scale == pytest.approx(16384.0)
 
 
 def test_numbers_of_rows_are_no_thousandths_of_a_second(tmp_path: Path) -> None:
@@ -430,13 +380,3 @@ def test_motion_about_one_attitude_determines_no_zero_of_accelerometers(tmp_path
     log = text(tmp_path / "log.csv", NAMES, np.column_stack([0.01 * np.arange(2800), accel, gyro]))
     new_session(tmp_path / "s", log)
     assert read_session(tmp_path / "s").log.accel.unit_name == "m/s^2"
-
-
-def test_files_of_a_row_each_are_one_log(rows: Array, tmp_path: Path) -> None:
-    """As the oxts/data of KITTI."""
-    (tmp_path / "data").mkdir()
-    for k, row in enumerate(rows[:1500]):
-        (tmp_path / "data" / f"{k:010d}.txt").write_text(" ".join(f"{x:.8g}" for x in row), encoding="ascii")
-    draft, _ = new_session(tmp_path / "s", tmp_path / "data")
-    assert draft.log["accel"]["columns"] == ["2", "3", "4"]
-    assert draft.rate == pytest.approx(50.0, rel=1e-3)

@@ -128,30 +128,14 @@ def write_bag1(path: Path, record: Array) -> None:
             bag.write(topic, stamp + 1234, store.serialize_ros1(message, "sensor_msgs/msg/Imu"))
 
 
-def write_bag2(
-    path: Path,
-    record: Array,
-    topics: dict[str, Array] | None = None,
-    warmth: Array | None = None,
-    thermometers: tuple[str, ...] = ("/imu/temperature",),
-) -> None:
-    """With temperatures, °C, at every tenth sample, where they are given; of each further thermometer 10 K less."""
+def write_bag2(path: Path, record: Array, topics: dict[str, Array] | None = None) -> None:
     store = get_typestore(Stores.ROS2_JAZZY)
-    types = store.types
     with Bag2Writer(path, version=9, storage_plugin=StoragePlugin.SQLITE3) as bag:
         for name, rows in (topics or {"/imu": record}).items():
             topic = bag.add_connection(name, "sensor_msgs/msg/Imu", typestore=store)
             for stamp, row in zip(stamps(len(rows)), rows, strict=True):
                 message = imu_message(store, row, stamp, ros1=False)
                 bag.write(topic, stamp, store.serialize_cdr(message, "sensor_msgs/msg/Imu"))
-        for less, name in enumerate(() if warmth is None else thermometers):
-            assert warmth is not None
-            topic = bag.add_connection(name, "sensor_msgs/msg/Temperature", typestore=store)
-            for stamp, celsius in zip(stamps(len(warmth) * 10)[::10], (warmth - 10.0 * less).tolist(), strict=True):
-                time = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
-                header = types["std_msgs/msg/Header"](stamp=time, frame_id="imu")
-                message = types["sensor_msgs/msg/Temperature"](header=header, temperature=celsius, variance=0.0)
-                bag.write(topic, stamp, store.serialize_cdr(message, "sensor_msgs/msg/Temperature"))
 
 
 def ulog_message(kind: str, content: bytes) -> bytes:
@@ -370,16 +354,15 @@ def test_parameters_of_an_ardupilot_that_change_nothing_are_not_said(tmp_path: P
 
 
 def temperature_of(path: Path) -> tuple[str | None, Array]:
-    """The message, or the columns, of the thermometers that `tumble new` finds in a recording, and what they read."""
+    """The columns of the thermometers that `tumble new` finds in a recording, and what they read."""
     draft, _ = new_session(path.parent / f"{path.name}-session", path)
     keys = draft.content["log"].get("temperature")
-    named = [said for said in draft.remarks if said.startswith("temperature from")]
     if keys is None:
         return None, np.empty(0)
     assert keys["unit"] == "degC"
     log = pl.read_parquet(path.parent / f"{path.name}-session" / "log.parquet")
     celsius = np.squeeze(log.select(keys["columns"]).to_numpy())
-    return named[0].split()[2].rstrip(",") if named else " ".join(keys["columns"]), celsius
+    return " ".join(keys["columns"]), celsius
 
 
 @pytest.fixture(scope="module")
@@ -390,14 +373,11 @@ def at_rest() -> Array:
     return rows + 1e-3 * np.random.default_rng(2).normal(size=rows.shape)
 
 
-def test_px4_has_the_thermometer_of_the_accelerometers_else_of_the_gyros_else_of_the_barometer(
-    at_rest: Array, tmp_path: Path
-) -> None:
-    no = math.nan
+def test_px4_has_the_thermometers_of_the_accelerometers_and_of_the_gyros(at_rest: Array, tmp_path: Path) -> None:
     for warmth, name, celsius in (
         ((25.0, 26.0), "accel_temperature gyro_temperature", (25.0, 26.0)),
-        ((no, 26.0), "gyro_temperature", 26.0),
-        ((no, no), "sensor_baro.0", 31.0),
+        ((math.nan, 26.0), "gyro_temperature", 26.0),
+        ((math.nan, math.nan), None, ()),
     ):
         path = tmp_path / f"{name}.ulg"
         write_ulog(path, at_rest, warmth)
@@ -433,15 +413,6 @@ def test_ardupilot_has_the_thermometer_of_the_imu_unless_it_reads_zero(at_rest: 
     np.testing.assert_array_equal(temperatures, 41.5)
     first, second = messages(tmp_path / "warm.bin")
     assert (first.temperatures, second.temperatures) == (("temperature",), ())
-
-
-def test_a_topic_with_temperatures_is_interpolated_at_the_times_of_the_sensors(at_rest: Array, tmp_path: Path) -> None:
-    warmth = np.linspace(20.0, 49.9, 300)  # at samples 0, 10, …
-    write_bag2(tmp_path / "warm", at_rest, warmth=warmth)
-    name, temperatures = temperature_of(tmp_path / "warm")
-    assert name == "/imu/temperature"
-    np.testing.assert_allclose(temperatures[:2991], np.linspace(20.0, 49.9, 2991), atol=1e-6)
-    np.testing.assert_array_equal(temperatures[2991:], 49.9)
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -503,26 +474,6 @@ def test_a_missing_extra_is_named(module: str, name: str, record: Array, tmp_pat
     code += "except MissingExtraError as error: print(error)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert f"needs {module}; install it with: pip install 'tumble[formats]'" in said
-
-
-def test_of_several_topics_with_temperatures_that_beside_the_imu_is_taken(at_rest: Array, tmp_path: Path) -> None:
-    names = ("/baro/temperature", "/imu/temperature")
-    write_bag2(tmp_path / "two", at_rest, warmth=np.full(300, 40.0), thermometers=names)
-    name, temperatures = temperature_of(tmp_path / "two")
-    assert name == "/imu/temperature"
-    np.testing.assert_allclose(temperatures, 30.0)
-    draft, _ = new_session(tmp_path / "again", tmp_path / "two")
-    assert "other thermometers, not used: /baro/temperature" in draft.remarks
-
-
-def test_topics_with_the_temperatures_of_each_kind_of_sensors_are_both_taken(at_rest: Array, tmp_path: Path) -> None:
-    names = ("/imu/gyro/temperature", "/imu/temperature", "/imu/accel_temp")
-    write_bag2(tmp_path / "each", at_rest, warmth=np.full(300, 40.0), thermometers=names)
-    draft, _ = new_session(tmp_path / "session", tmp_path / "each")
-    assert draft.content["log"]["temperature"]["columns"] == ["accel_temperature", "gyro_temperature"]
-    log = pl.read_parquet(tmp_path / "session" / "log.parquet")
-    np.testing.assert_allclose(log.select("accel_temperature", "gyro_temperature").to_numpy(), [[20.0, 40.0]] * 3000)
-    assert "other thermometers, not used: /imu/temperature" in draft.remarks
 
 
 def test_a_binary_file_of_another_logger_is_no_damaged_flight_log(tmp_path: Path) -> None:

@@ -208,25 +208,9 @@ FAULTS: dict[str, tuple[dict[str, Any], str]] = {
         {"log": {"temperature": {"columns": []}}},
         "log.temperature.columns: expected a list of column names",
     ),
-    "scales of thermometers": (
-        {"log": {"temperature": {"columns": ["T1", "T2"], "unit": "raw", "scale": [340.0]}}},
-        "log.temperature.scale: expected a number or 2 numbers, one per column, found 1",
-    ),
-    "two scales of a thermometer": (
-        {"log": {"temperature": {"columns": 5 * ["T1"] + ["T1"], "unit": "raw", "scale": [1, 1, 1, 1, 1, 2]}}},
-        "log.temperature.scale: expected one scale and offset for a column that is named again, found others",
-    ),
     "temperature unit": (
         {"log": {"temperature": {"columns": ["T"], "unit": "C"}}},
-        'log.temperature.unit: expected one of degC, K, degF, raw, found "C"',
-    ),
-    "raw temperature without scale": (
-        {"log": {"temperature": {"columns": ["T"], "unit": "raw"}}},
-        'log.temperature.scale: expected the raw numbers per degC for unit "raw", found none',
-    ),
-    "offset of a temperature that is not raw": (
-        {"log": {"temperature": {"columns": ["T"], "offset": 3.0}}},
-        'log.temperature.offset: expected only with unit "raw", found unit "degC"',
+        'log.temperature.unit: expected one of degC, K, degF, found "C"',
     ),
     "accel unit": (
         accel(unit="m/s2"),

@@ -65,27 +65,22 @@ def log_table(**temperature: object) -> dict[str, object]:
 def test_one_column_is_of_all_sensors_two_are_of_the_kinds_and_more_of_a_sensor_each(
     tmp_path: Path, columns: list[str], accel: str, gyro: str
 ) -> None:
-    """Each with its own raw numbers per degree; what `description_of` makes of them says the same."""
+    """What `description_of` makes of them says the same."""
     rows = {"t": 0.01 * np.arange(1, 101), **{name: np.full(100, 1.0) for name in SENSORS}}
-    scale = {name: 2.0 + i for i, name in enumerate(dict.fromkeys(columns))}
-    raw = {name: scale[name] * (20.0 + i) + 5.0 for i, name in enumerate(scale)}
-    table = pl.DataFrame(rows | {name: np.full(100, value) for name, value in raw.items()})
-    per_degree = [scale[name] for name in columns]
-    given: dict[str, object] = {"columns": columns, "unit": "raw", "scale": per_degree, "offset": 5.0}
-    session = read_session(session_of(tmp_path / "s", table.write_csv(), log_table(**given)))
+    celsius = {name: 20.0 + i for i, name in enumerate(dict.fromkeys(columns))}
+    table = pl.DataFrame(rows | {name: np.full(100, value) for name, value in celsius.items()})
+    session = read_session(session_of(tmp_path / "s", table.write_csv(), log_table(columns=columns)))
     found = session.log.temperature
     assert found is not None
     assert session.gyro_block is not None
     assert (" ".join(found.names("accel")), " ".join(found.names("gyro"))) == (accel, gyro)
     chunk = next(open_log(session).chunks())
     assert chunk.temperature is not None
-    np.testing.assert_allclose(chunk.temperature[7], ZERO_CELSIUS + 20.0 + np.arange(len(scale)))
+    np.testing.assert_allclose(chunk.temperature[7], ZERO_CELSIUS + 20.0 + np.arange(len(celsius)))
     each = chunk.temperature[:, [*session.accel_block.thermometer, *session.gyro_block.thermometer]]
     np.testing.assert_allclose(each[0, 3:] - each[0, 0], [found.columns.index(t) for t in gyro.split()])
     described = description_of(session)["log"]["temperature"]
     assert described["columns"] == columns
-    np.testing.assert_allclose(described["scale"], per_degree)
-    np.testing.assert_allclose(described["offset"], 5.0)
 
 
 def test_arrays_have_temperatures_by_kind_or_by_sensor() -> None:
@@ -163,9 +158,7 @@ def test_a_session_with_one_thermometer_is_not_for_a_calibration_with_two(
     session = read_session(folder)
     known = session.log.temperature
     assert known is not None
-    one = replace(
-        known, columns=("T_accel",), accel=(0, 0, 0), gyro=(0, 0, 0), gain=known.gain[:1], shift=known.shift[:1]
-    )
+    one = replace(known, columns=("T_accel",), accel=(0, 0, 0), gyro=(0, 0, 0))
     other = replace(session, log=replace(session.log, temperature=one))
     said = "expected a thermometer for each sensor gyro as in the calibration, T_gyro, T_gyro, T_gyro, found T_accel"
     with pytest.raises(InputError, match=said):

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import json
 import re
-import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -33,7 +32,7 @@ from typing import IO, Any
 
 from tumble.errors import InputError
 from tumble.files import OutputFolder, plain_name, whole_file
-from tumble.recording.columns.names import ACCEL, GYRO, SENSOR_WORDS, columns_by_name
+from tumble.recording.columns.names import ACCEL, SENSOR_WORDS
 from tumble.recording.log_source import readable
 from tumble.recording.text.dialect import Dialect, dialect_of, encoding_of, is_clock
 from tumble.recording.text.pieces import opened
@@ -78,7 +77,7 @@ def uniform_lines(lines: Sequence[str], parse: Callable[[str], ParsedLine | None
             row = ",".join(parsed[2]) if parsed is not None and matches else ""
             started |= matches
             if started:  # boot messages are above the first row
-                yield "", [row or line.replace(",", " ")]
+                yield "", [row or (line.replace(",", " ") if names else line)]
 
     listed = f" ({', '.join(names)})" if names else ""
     return TextForm(rows=rows, names={"": names}, title=f"{title}{kind}{listed}")
@@ -96,28 +95,17 @@ _SENTENCE_NAMES = {
 }
 """Columns of VectorNav's sentences. Source: reference of the VN-100, asynchronous output."""
 
-_SENTENCE = re.compile(r"\s*([$#%])((\w+),[^*]*)\*([0-9A-Fa-f]{2}|[0-9A-Fa-f]{8})\s*")
-_NOVATEL_RAW = re.compile("RAWIMUS?X?A")
-_RAW_INCREMENTS = ("GPS time [s]", *(f"{kind} {axis} [count]" for kind in ("accel", "gyro") for axis in "xyz"))
+_SENTENCE = re.compile(r"\s*\$((\w+),[^*]*)\*([0-9A-Fa-f]{2})\s*")
 
 
 def sentence(line: str) -> ParsedLine | None:
-    """Parse a sentence with a checksum, `$VNYMR,…*6D` or NovAtel's `%RAWIMUSXA,…;…*a5db8c7b`; None if damaged."""
+    """Parse a sentence with a checksum, `$VNYMR,…*6D`; None if damaged."""
     match = _SENTENCE.fullmatch(line)
-    if match is None:
+    if match is None or int(match[3], 16) != reduce(xor, match[1].encode(), 0):
         return None
-    mark, text, kind, check = match.groups()
-    body = text.encode()
-    if int(check, 16) != (reduce(xor, body, 0) if mark == "$" else ~zlib.crc32(body, 0xFFFFFFFF) & 0xFFFFFFFF):
-        return None
-    names, values = _SENTENCE_NAMES.get(kind, ()), re.split("[,;]", text)[1:]
-    if _NOVATEL_RAW.fullmatch(kind) and len(values) >= 8:  # z, −y, x of accelerometers and then of gyros
-        seconds, _, *increments = values[-8:]
-        x, minus_y, z = (increments[at::3] for at in (2, 1, 0))
-        y = [value.removeprefix("-") if value.startswith("-") else f"-{value}" for value in minus_y]
-        names, values = _RAW_INCREMENTS, [seconds, x[0], y[0], z[0], x[1], y[1], z[1]]
+    kind, names, values = match[2], _SENTENCE_NAMES.get(match[2], ()), match[1].split(",")[1:]
     is_row = len(values) >= _FEWEST_NUMBERS and len(names) in (0, len(values))
-    return (f" {mark}{kind}", names, values) if is_row else None
+    return (f" ${kind}", names, values) if is_row else None
 
 
 def json_object(line: str) -> ParsedLine | None:
@@ -161,6 +149,11 @@ def row_behind_clock(line: str) -> ParsedLine | None:
     clock, rest = match.groups()
     delimiter = next((mark for mark in "\t;," if mark in rest), " ")
     return "", (), [f"{clock if rest[:1] in '+-.0123456789' else 'clock'}{delimiter}{rest}"]
+
+
+def row_before_semicolon(line: str) -> ParsedLine | None:
+    """Parse a row that ends with a semicolon, which does not separate its values."""
+    return ("", (), [line.rstrip("; \t")]) if line.count(";") == 1 and line.rstrip().endswith(";") else None
 
 
 # -------------------- names before the values --------------------
@@ -254,7 +247,7 @@ def _samples(lines: Iterable[str]) -> Iterator[tuple[dict[str, str], int]]:
         count += bool(values)
 
 
-# -------------------- marks between thousands, and at the ends of rows --------------------
+# -------------------- marks between thousands --------------------
 
 _THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
 _QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
@@ -272,39 +265,10 @@ def thousands(lines: Sequence[str]) -> TextForm | None:
     return TextForm(rows=lambda lines: (("", [plain(line)]) for line in lines), title=title)
 
 
-def ended_rows(lines: Sequence[str]) -> TextForm | None:
-    """Return the form of rows that end with a semicolon, which does not separate their values."""
-    ended = sum(line.count(";") == 1 and line.rstrip().endswith(";") for line in lines)
-    if ended <= max(_ALIKE_SHARE * sum(bool(line.strip()) for line in lines), 1):
-        return None
-    return TextForm(
-        rows=lambda lines: (("", [line.rstrip("; \t")]) for line in lines), title="semicolons that end rows"
-    )
-
-
 # -------------------- a line for each sensor --------------------
 
-_COMMENT = re.compile(r"^[#%\s]*(?:[^'#%]*')?")
 _UNNAMED = ("time", "x", "y", "z")
 _IMU = re.compile(r"imu\d?", re.IGNORECASE)
-
-
-def rows_named_in_comments(lines: Sequence[str]) -> TextForm | None:
-    """Return the form of rows that begin with a word whose columns are named in a comment.
-
-    Examples are `# UncalAccel,utcTimeMillis,…` and `% ACCE data: 'ACCE;AppTimestamp(s);…'`."""
-    comments = [_COMMENT.sub("", line).rstrip("' ") for line in lines if line.startswith(("#", "%"))]
-    rows = [line for line in lines if not line.startswith(("#", "%"))]
-    delimiter = max(",;", key=lambda mark: sum(mark in line for line in rows))
-    words = {line.partition(delimiter)[0] for line in rows}
-    named = {word: names for word, *names in (line.split(delimiter) for line in comments) if word in words}
-    kinds = {word: names for word, names in named.items() if {ACCEL, GYRO} & {*columns_by_name(names).triads}}
-
-    def rows_of(lines: Iterable[str]) -> Rows:
-        partitioned = (line[:_LONGEST_LINE].partition(delimiter) for line in lines)
-        return ((word, rest.split(delimiter)) for word, _, rest in partitioned if word in kinds)
-
-    return TextForm(rows=rows_of, names=kinds) if len(kinds) >= 2 else None
 
 
 def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
@@ -359,15 +323,14 @@ def form_of(lines: Sequence[str]) -> TextForm | None:
     for rows with a column that names a sensor."""
     last = lines[-_SOME_LINES:]
     return (
-        rows_named_in_comments(lines)
-        or uniform_lines(last, sentence, "sentences")
+        uniform_lines(last, sentence, "sentences")
         or uniform_lines(last, json_object, "objects of JSON")
         or (samples_of_several_lines(last) and samples_of_several_lines(lines[:_SOME_LINES]))  # from their first line
         or uniform_lines(last, named_values, "names before the numbers")
         or uniform_lines(last, row_in_brackets, "rows in brackets")
         or uniform_lines(last, row_behind_clock, "rows behind the clock of a serial monitor")
         or thousands(last)
-        or ended_rows(last)
+        or uniform_lines(last, row_before_semicolon, "semicolons that end rows")
     )
 
 

@@ -9,7 +9,6 @@ number, place and programme are in no log; the user fills them in.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +23,7 @@ from tumble.drafting.columns import identify_log
 from tumble.drafting.conclusions import complete_draft
 from tumble.drafting.containers import check_format, files_of, unzipped
 from tumble.drafting.draft import Draft, session_text
-from tumble.drafting.foreign_log import HEAD_ROWS, SAMPLE_ROWS, ForeignLog
+from tumble.drafting.foreign_log import HEAD_ROWS, ForeignLog
 from tumble.drafting.repairs import repair_log
 from tumble.drafting.sensors_apart import CORE_MOTION, log_of_recording
 from tumble.errors import InputError, LogError, did_you_mean
@@ -34,20 +33,14 @@ from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND,
 from tumble.recording.columns.scales import resolution_in_deg_s
 from tumble.recording.formats import PX4_CORRECTED, is_recording
 from tumble.recording.log import Log
-from tumble.recording.readers import source_of
-from tumble.recording.rows.gaps import is_reading
 from tumble.recording.session import USUAL_RATE_U, AutopilotSensor, sensors_content
-from tumble.recording.session.log_tables import RAW
 from tumble.recording.session_file import SESSION_FILE
 from tumble.run.observed import Progress
-from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS, TEMPERATURE_UNITS
+from tumble.units import ACCEL_UNITS, GYRO_UNITS, TEMPERATURE_UNITS
 
 _FAST_QUANTILE = 0.99  # of the magnitudes of the gyros, without single outliers
-_MEAN_SECONDS, _FEWEST_MEANS, _GRAVITY_SHARE = 2.0, 3, 0.4
-"""Duration of means, s, their least number, and the share of the readings that they keep if these contain gravity."""
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": (15e-6, 150e-6)}
 """Magnetic fields on Earth, with iron nearby."""
-_SENSORS = {ACCEL: ("accelerometers", "m/s²", 1.0), GYRO: ("gyros", "°/s", DEGREE)}
 _PLAUSIBLE_TEMPERATURES = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # median of a recording
 _CORRECTED = {
     "accelerometer_m_s2[0]": PX4_CORRECTED,
@@ -63,7 +56,7 @@ class Given:
     """Statements of the user about a log.
 
     `latitude` is in °, `height` in m, `sample_rate` in Hz; `message` names a message of a recording; columns are names
-    or numbers from 1."""
+    or numbers from 1. Raises InputError for numbers and programmes that cannot be."""
 
     serial: str | None = None
     latitude: float | None = None
@@ -76,6 +69,17 @@ class Given:
     time: str | None = None
     accel_unit: str | None = None
     gyro_unit: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.programme is not None and self.programme not in programmes():
+            raise InputError(f"--programme: expected one of {', '.join(programmes())}, found {self.programme!r}")
+        for option, number, least, most, words in (
+            ("latitude", self.latitude, -90.0, 90.0, "from -90 to 90"),
+            ("height", self.height, -1000.0, 10000.0, "from -1000 to 10000, m"),
+            ("sample-rate", self.sample_rate, 1e-6, 1e9, "from 1e-6 to 1e9 (Hz)"),
+        ):
+            if number is not None and not least <= number <= most:
+                raise InputError(f"--{option}: expected a number {words}, found {number:g}")
 
     @property
     def units(self) -> dict[str, str]:
@@ -176,22 +180,13 @@ def drafted_log(
     Copies of logs are written into the folder."""
     listed = [logs] if isinstance(logs, str | os.PathLike) else logs
     files = [file for log in listed for file in files_of(Path(log))]
-    if given.programme is not None and given.programme not in programmes():
-        raise InputError(f"--programme: expected one of {', '.join(programmes())}, found {given.programme!r}")
-    for option, number, least, most, words in (
-        ("latitude", given.latitude, -90.0, 90.0, "from -90 to 90"),
-        ("height", given.height, -1000.0, 10000.0, "from -1000 to 10000, m"),
-        ("sample-rate", given.sample_rate, 1e-6, 1e9, "from 1e-6 to 1e9 (Hz)"),
-    ):
-        if number is not None and not least <= number <= most:
-            raise InputError(f"--{option}: expected a number {words}, found {number:g}")
     files = [inner for file in files for inner in unzipped(file, folder)]
     imu: Mapping[str, AutopilotSensor] = {}
     recordings = [file for file in files if is_recording(file) or file.is_dir()]
     for file in filter(Path.is_file, recordings):
         check_format(file, recording=True)
     if not recordings:
-        log = identify_log(files, folder, given.columns, given.units)
+        log = identify_log(files, folder, given.columns, given.units, given.message)
         log.check_has_sensors(gyros_suffice=gyros_suffice)
     elif given.columns or given.units:
         options = [*given.columns, *(f"{kind}-unit" for kind in given.units)]
@@ -216,8 +211,6 @@ def drafted_log(
     if ACCEL not in draft.triads:
         return draft, faults
     draft = _with_apple_sign(draft)
-    if draft.guessed:
-        draft = draft.with_log([_row_remark(draft)])
     return draft, faults
 
 
@@ -254,17 +247,6 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     magnetometer, magnetometer_remarks = _magnetometer_table(log, columns.triads.get(MAGNETOMETER))
     rates = head[GYRO][np.isfinite(head[GYRO]).all(axis=1)] if GYRO in triads else np.empty((0, 3))
     whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in head.items()}
-    # means of accelerometers over two seconds keep gravity
-    force = head[ACCEL][np.isfinite(head[ACCEL]).all(axis=1)] if ACCEL in triads else np.empty((0, 3))
-    rows = max(int(_MEAN_SECONDS * times.rate), 2)
-    if (count := len(force) // rows) >= _FEWEST_MEANS:
-        means = np.linalg.norm(force[: count * rows].reshape(-1, rows, 3).mean(axis=1), axis=1)
-        share = float(np.median(means) / max(np.median(np.linalg.norm(force, axis=1)), 1e-300))
-        if share <= _GRAVITY_SHARE:
-            remarks.append(
-                f"accelerometers: at the mean over {_MEAN_SECONDS:g} s they read {share:.0%} of what they read at a "
-                "time: gravity is not in them; what a filter has left of the readings cannot be calibrated"
-            )
     return Draft(
         content={"format": 1, "device": {"serial": "unknown"}, "log": table},
         remarks=(*remarks, *magnetometer_remarks),
@@ -313,56 +295,29 @@ def _with_apple_sign(draft: Draft) -> Draft:
     return draft.with_log([remark], accel=table)
 
 
-def _row_remark(draft: Draft) -> str:
-    """Return the first complete row of the log in words, as written and in units."""
-    log = draft.session().log
-    time = [] if log.time is None else [log.time]
-    sensors = {kind: channels for kind, channels in ((ACCEL, log.accel), (GYRO, log.gyro)) if channels is not None}
-    columns = [*time, *(c for channels in sensors.values() for c in channels.columns)]
-    source = source_of(log.files[0], log.dialect)
-    first, _ = next(source.tables(columns, log.time if log.clock else None))
-    table = first.select(columns).head(SAMPLE_ROWS).to_numpy()
-    whole = np.flatnonzero(is_reading(table).all(axis=1))
-    if not len(whole):
-        return f"no row of the first {len(table)} is whole"
-    row = dict(zip(columns, table[whole[0]].tolist(), strict=True))
-    parts = [f"time {row[name] * log.time_factor:.10g} s ({name}: {row[name]:.10g})" for name in time]
-    for kind, channels in sensors.items():
-        name, unit, one = _SENSORS[kind]
-        numbers = np.array([[row[c] for c in channels.columns]])
-        values = channels.to_si(numbers, np.array([1.0 / draft.rate]))[0] / one
-        written = ", ".join(f"{c}: {row[c]:.6g}" for c in channels.columns)
-        parts.append(f"{name} {', '.join(f'{v:.4g}' for v in values)} {unit} ({written})")
-    return f"row {whole[0] + 1} as it is read: {'; '.join(parts)}"
-
-
 def _temperature_table(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
-    """Return the table [log.temperature], None for raw numbers, and a remark.
+    """Return the table [log.temperature], None without a known unit, and a remark.
 
-    The unit is that of the name, or one in which the numbers are air temperatures; columns in several units are
-    described as raw numbers with their scales."""
-    listed, units, remarks = list(columns), list[str](), list[str]()
-    if empty := [column for column in columns if not len(log.readings(column))]:
-        return None, f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
+    The unit is that of the name, or one in which the numbers are air temperatures. Columns in another unit than the
+    first are left out."""
+    units, remarks = dict[str, str](), list[str]()
     for column in columns:
-        middle = float(np.median(log.readings(column)))
-        plausible = next((u for u, (low, high) in _PLAUSIBLE_TEMPERATURES.items() if low <= middle <= high), RAW)
-        named = temperature_unit(column)
-        units.append(named or plausible)
-        remarks.append(f"{column} in {units[-1]} ({'from the name' if named else 'by its numbers'})")
-        if units[-1] == RAW:
+        readings = log.readings(column)
+        if not len(readings):
+            return None, f"temperature: {column} is left out, for it reads nothing or cannot be read"
+        middle, named = float(np.median(readings)), temperature_unit(column)
+        plausible = (unit for unit, (low, high) in _PLAUSIBLE_TEMPERATURES.items() if low <= middle <= high)
+        units[column] = named or next(plausible, "")
+        if units[column] not in TEMPERATURE_UNITS:
             return None, (
-                f"temperature: {column}, about {middle:.6g}, in no unit that is known; to use it, add "
-                f'[log.temperature] with columns = {json.dumps(listed)}, unit = "raw", scale, raw numbers per degC, '
-                "and offset, that at 0 degC"
+                f"temperature: {column}, about {middle:.6g}, is left out, for it is in no unit that is known; to use "
+                "it, convert it to °C"
             )
-    whose = {1: "", 2: ", accelerometers and gyros"}.get(len(listed), ", one a sensor, accelerometers first")
-    table: dict[str, Any] = {"columns": listed, "unit": units[0]}
-    if len(set(units)) > 1:
-        factors = [TEMPERATURE_UNITS[unit] for unit in units]
-        scale, offset = [1.0 / gain for gain, _ in factors], [-shift / gain for gain, shift in factors]
-        table |= {"unit": RAW, "scale": scale, "offset": offset}
-    return table, f"temperature: {', '.join(dict.fromkeys(remarks))}{whose}"
+        remarks.append(f"{column} in {units[column]} ({'from the name' if named else 'by its numbers'})")
+    unit = units[columns[0]]
+    listed = [column for column in columns if units[column] == unit]
+    whose = ", accelerometers and gyros" if len(listed) > 1 else ""
+    return {"columns": listed, "unit": unit}, f"temperature: {', '.join(remarks[: len(listed)])}{whose}"
 
 
 def _magnetometer_table(log: ForeignLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:

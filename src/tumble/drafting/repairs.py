@@ -1,5 +1,5 @@
-"""Repaired copies of logs that a session file cannot describe: 16-bit numbers read as unsigned, times in ticks,
-intervals or seconds and nanoseconds, counters that overflow, rows that are no samples, and successive positions."""
+"""Repaired copies of logs that a session file cannot describe: times in ticks or seconds and nanoseconds, counters
+that overflow, rows that are no samples, and successive positions."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, count_samples
-from tumble.drafting.times import Stamps, grows_mostly, overflow_of, recordings_of, times_of_column
+from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog
+from tumble.drafting.times import overflow_of, recordings_of
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, time_unit
+from tumble.recording.columns.names import ACCEL, MAGNETOMETER
 from tumble.recording.formats import TIME
 from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import GAP_STEP
-from tumble.recording.rows.timed import past_midnight
-from tumble.units import TIME_UNITS, Array
+from tumble.units import Array
 
 _XSENS_TICK = 1e-4  # s, of SampleTimeFine
 _NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
@@ -47,12 +46,14 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
     for kind, sensors in triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
+    if log.instance:
+        time = [column for column in (log.columns.time, nanoseconds_column(log)) if column is not None]
+        ((column, value),) = log.instance.items()
+        repair = f"rows: those with {value:g} in column {column!r}, of one device", log.rows_of_instance
+        return repair_log(_copy(log, folder, [*time, column], [repair]), folder, rate)
     stamps = log.stamps()
-    if stamps is not None and len(stamps.values) >= _FEWEST_ROWS and grows_mostly(-stamps.values):
-        return repair_log(_copy(log, folder, [stamps.column], [_newest_last(stamps)]), folder, rate)
     repairs = _leave_out_other_rows(log)
     time, in_seconds, time_repairs = _repair_time(log, rate)
-    unsigned = [kind for kind in (ACCEL, GYRO) if kind in triads and _is_wrapped(log.read(triads[kind].columns))]
     parts, why = None, ""
     untouched = len(log.files) == 1 and not (repairs or time_repairs) and rate is None
     if untouched and stamps is not None and not stamps.clock and len(stamps.values) < LONGEST:
@@ -61,13 +62,7 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
         if parts is not None and len(parts) == 1:
             why = f"time: the clock starts anew: rows {parts[0][0] + 1} to {parts[0][1]} are taken"
     if parts is None:
-        parts, why = _successive_positions(log, unsigned=ACCEL in unsigned)
-    if unsigned:
-        kinds = " and ".join({ACCEL: "accelerometers", GYRO: "gyros"}[kind] for kind in unsigned)
-        remark = f"{kinds}: numbers of 16 bits that were read without their sign: 65536 taken off where it is due"
-        columns = [c for kind in unsigned for c in triads[kind].columns]
-        signed = [pl.when(pl.col(c) >= 32768.0).then(pl.col(c) - 65536.0).otherwise(pl.col(c)) for c in columns]
-        repairs.append((remark, lambda rows: rows.with_columns(signed)))
+        parts, why = _successive_positions(log)
     repairs += time_repairs
     if not repairs and parts is None:
         return log
@@ -111,64 +106,32 @@ def _copy(
     )
 
 
-def _newest_last(stamps: Stamps) -> Repair:
-    """Reverse the rows of a log whose time falls from row to row."""
-
-    def reverse(rows: pl.DataFrame) -> pl.DataFrame:
-        rows = rows.reverse()
-        time = rows[stamps.column].to_numpy()
-        return rows.with_columns(pl.Series(stamps.column, past_midnight(time) if stamps.clock else time))
-
-    return f"time: column {stamps.column!r} falls from row to row: rows put in the order of time", reverse
-
-
 def _leave_out_other_rows(log: ForeignLog) -> list[Repair]:
-    """Leave out rows that are no samples: memory filled in advance after the last sample, and rows of other sensors.
+    """Leave out rows that are no samples but those of other sensors.
 
     A few rows without readings are kept as lost samples if the stamps have a gap there."""
-    repairs: list[Repair] = []
     sensors = [c for kind, triad in log.columns.triads.items() if kind != MAGNETOMETER for c in triad.columns]
-    table, one = log.read(sensors), len(log.files) == 1
-    filled = len(table) > 0 and all(len(set(three)) == 1 for three in np.nan_to_num(table[-1]).reshape(-1, 3).tolist())
-    samples = count_samples(table) if filled and one and len(table) < LONGEST else len(table)
-    if samples < len(table):
-        remark = f"rows: the last {len(table) - samples} are all alike and no samples: left out"
-        repairs.append((remark, lambda rows: rows.head(samples)))
-    whole = np.asarray(np.isfinite(table[:samples]).mean(axis=1) >= _READ_SHARE)
+    whole = np.asarray(np.isfinite(log.read(sensors)).mean(axis=1) >= _READ_SHARE)
     blank = int(np.count_nonzero(~whole))
-    are_others = blank > _BLANK_SHARE * samples
-    if one and blank and not are_others:
+    are_others = blank > _BLANK_SHARE * len(whole)
+    if len(log.files) == 1 and blank and not are_others:
         are_others = not whole[0]
         stamps = log.stamps()
-        time = np.empty(0) if stamps is None else stamps.values[:samples]
-        if len(time) == samples and whole[1:].any() and np.isfinite(time[~whole]).any():  # message lines have no time
+        time = np.empty(0) if stamps is None else stamps.values
+        if len(time) == len(whole) and whole[1:].any() and np.isfinite(time[~whole]).any():  # messages have no time
             steps, across = np.diff(time[whole]), np.diff(np.flatnonzero(whole)) > 1
             are_others |= bool(across.any() and np.median(steps[across]) < GAP_STEP * np.median(steps))
-    if are_others:
-        remark = f"rows: {blank} of {samples} have no readings of these sensors, as rows of others: left out"
-        has_readings = pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE
-        repairs.append((remark, lambda rows: rows.filter(has_readings)))
-    return repairs
+    if not are_others:
+        return []
+    remark = f"rows: {blank} of {len(whole)} have no readings of these sensors, as rows of others: left out"
+    return [(remark, lambda rows: rows.filter(pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE))]
 
 
 def _repair_time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Repair]]:
     """Return the time columns, whether the repairs replace them by a column TIME in s, and the repairs."""
-    column, interval, repairs = log.columns.time, log.columns.interval, list[Repair]()
-    if rate is not None:
+    column, repairs = log.columns.time, list[Repair]()
+    if column is None or rate is not None:
         return [] if column is None else [column], False, []
-    if column is not None and interval is None and _are_intervals(log.read([column])[:, 0]):
-        column, interval = None, column
-    if column is None:
-        steps = np.empty(0) if interval is None or len(log.files) > 1 else log.read([interval])[:, 0]
-        steps = steps[np.isfinite(steps)]
-        times = times_of_column(Stamps(column=interval or "", values=np.cumsum(steps), unit=time_unit(interval or "")))
-        if interval is None or times is None or (steps < 0.0).any():
-            return [], False, []
-        unit = times.keys.get("time_unit", "s")
-        remark = f"time: none, but column {interval!r} has the intervals between samples, in {unit}: added up"
-        added = pl.col(interval).fill_nan(0.0).cum_sum()
-        added_up = (remark, lambda rows: _in_seconds(rows.with_columns(added), interval, TIME_UNITS[unit]))
-        return [interval], True, [added_up]
     nanoseconds = nanoseconds_column(log)
     if nanoseconds is not None:
         remark = f"time: columns {column!r} and {nanoseconds!r}, seconds and nanoseconds, added"
@@ -186,13 +149,6 @@ def _repair_time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, 
         remark = f"time: column {column!r} in ticks of {tick:g} s, made seconds"
         repairs.append((remark, lambda rows: _in_seconds(rows, column, tick)))
     return [column], tick is not None, repairs
-
-
-def _are_intervals(stamps: Array) -> bool:
-    """Return whether stamps are intervals between samples: positive, changing, and of one size."""
-    stamps = stamps[np.isfinite(stamps)]
-    low, median, high = np.quantile(stamps, (0.05, 0.5, 0.95)) if len(stamps) else (0.0, 0.0, 0.0)
-    return bool(0.3 * median < low < high < 3.0 * median and not grows_mostly(stamps))
 
 
 def _in_seconds(rows: pl.DataFrame, column: str, factor: float, nanoseconds: str | None = None) -> pl.DataFrame:
@@ -215,38 +171,17 @@ def nanoseconds_column(log: ForeignLog) -> str | None:
     return next((n for n in log.names if _NANO.search(n) and _NANO.sub("", n) == log.columns.time), None)
 
 
-def _is_wrapped(columns: Array) -> bool:
-    """Return whether integers (m, n) are signed 16-bit numbers read as unsigned, with hardly any in the middle."""
-    if not np.isfinite(columns).any():
-        return False
-    low, high = np.nanmin(columns), np.nanmax(columns)
-    if low < 0.0 or not 49152.0 < high < 65536.0 or not np.array_equal(columns, np.floor(columns), equal_nan=True):
-        return False
-    middle = (columns > 24576.0) & (columns < 40960.0)
-    return bool(middle.mean() < 0.02 and (columns < 24576.0).any() and (columns > 40960.0).mean() > 1e-3)
-
-
-def _signed(columns: Array) -> Array:
-    return np.where(columns >= 32768.0, columns - 65536.0, columns)
-
-
-def with_signs(columns: Array) -> Array:
-    """Return columns (m, n) with the sign restored in those of 16 bits that were read as unsigned."""
-    return np.column_stack([_signed(c) if _is_wrapped(c) else c for c in columns.T]) if columns.size else columns
-
-
 # -------------------- positions without turns between them --------------------
 
 
-def _successive_positions(log: ForeignLog, *, unsigned: bool) -> tuple[list[tuple[int, int]] | None, str]:
+def _successive_positions(log: ForeignLog) -> tuple[list[tuple[int, int]] | None, str]:
     """Return the ranges of rows of positions without turns between them, and a remark; None for other logs.
 
-    Positions are named by a column, or the reading jumps between two still stretches. `unsigned`: accelerometers are
-    16-bit numbers read as unsigned. Raises InputError for positions of too few rows."""
+    Positions are named by a column, or the reading jumps between two still stretches.
+    Raises InputError for positions of too few rows."""
     if len(log.files) > 1 or ACCEL not in log.columns.triads:
         return None, ""
     accel = log.read(log.columns.triads[ACCEL].columns)
-    accel = _signed(accel) if unsigned else accel
     if np.isnan(accel).all(axis=0).any() or not 2 * _FEWEST_ROWS <= len(accel) < LONGEST:
         return None, ""
     label = next((n for n in log.cells if _LABEL.fullmatch(n.strip()) and n != log.columns.time), None)

@@ -134,16 +134,19 @@ def samples_of_file(source: LogSource, spec: LogSpec, file: int, grid: Grid, gap
     """Yield the samples of one file from its reader in SI, with gaps bridged or left out and added to `gaps`."""
     bridge = Bridge(source=source, file=file, spec=spec, interval=grid.interval, gaps=gaps)
     rows = rows_of(source, spec, file, grid, gaps, on_grid=spec.unstamped or grid.rounded or grid.jitter > 0.0)
+    parts = [spec.accel, spec.gyro, spec.magnetometer, spec.temperature]
+    ends = np.cumsum([0 if part is None else len(part.columns) for part in parts])
     for time, dt_of_log, values in bridge.samples(rows):
         dt = dt_of_log if spec.clock_rate == 1.0 else spec.clock_rate * dt_of_log
+        accel, gyro, magnetometer, temperature, _ = np.split(values, ends, axis=1)
         yield Chunk(
             file=file,
             time=time,
             dt=dt,
-            accel=spec.accel.to_si(values[0], dt),
-            gyro=spec.gyro.to_si(values[1], dt) if spec.gyro else None,
-            temperature=spec.temperature.to_celsius(values[-1]) + ZERO_CELSIUS if spec.temperature else None,
-            magnetometer=values[2 if spec.gyro else 1] if spec.magnetometer else None,
+            accel=spec.accel.to_si(accel, dt),
+            gyro=spec.gyro.to_si(gyro, dt) if spec.gyro else None,
+            temperature=spec.temperature.to_celsius(temperature) + ZERO_CELSIUS if spec.temperature else None,
+            magnetometer=magnetometer if spec.magnetometer else None,
         )
 
 

@@ -74,10 +74,10 @@ def plain(log: pl.DataFrame, folder: Path) -> str:
 
 def with_thermometers(log: pl.DataFrame, folder: Path) -> str:
     """A chip with accelerometers, and one with gyros that is warmer; so steady that no lag behind them matters."""
-    rows = table(log, [*NAMES, "accel_temp_C", "gyro_temp [K]"])
+    rows = table(log, [*NAMES, "accel_temp_C", "gyro_temp [C]"])
     settled = 1.0 - np.exp(-np.arange(len(rows) - 1) / 2000.0)
     for row, warmer in zip(rows[1:], settled.tolist(), strict=True):
-        row += [f"{27.0 + 0.02 * warmer:.3f}", f"{304.15 + 0.04 * warmer:.3f}"]
+        row += [f"{27.0 + 0.02 * warmer:.3f}", f"{31.0 + 0.04 * warmer:.3f}"]
     return written(folder / "log.csv", rows)
 
 
@@ -124,15 +124,12 @@ def raw(
     accel_per_g: float,
     gyro_per_deg: float,
     *,
-    unsigned: bool = False,
     names: Sequence[str] = NAMES,
     time: float = 1e3,
     offset: int = 0,
 ) -> Callable[[pl.DataFrame, Path], str]:
     def write(log: pl.DataFrame, folder: Path) -> str:
         a, g = counts(log, accel_per_g / G_STANDARD, gyro_per_deg / DEGREE)
-        if unsigned:
-            a, g = a % 65536, g % 65536
         stamps = np.round(log["t"].to_numpy() * time).astype(int)
         rows = np.column_stack([stamps, a + offset, g + offset]).astype(str).tolist()
         return written(folder / "raw.csv", [list(names), *rows])
@@ -583,8 +580,7 @@ def several_at_once(log: pl.DataFrame, folder: Path) -> str:
 
 
 def merged_topics(log: pl.DataFrame, folder: Path) -> str:
-    """Two topics in one table: seconds and nanoseconds, rows of a receiver between, units in words, and what the memory
-    was filled with before."""
+    """Two topics in one table: seconds and nanoseconds, rows of a receiver between, and units in words."""
     names = ["header.stamp.secs", "header.stamp.nsecs", "latitude"]
     names += [f"accel_{a}_m_per_s2" for a in "xyz"] + [f"gyro_{a}_deg_per_s" for a in "xyz"]
     rows = [names]
@@ -593,5 +589,4 @@ def merged_topics(log: pl.DataFrame, folder: Path) -> str:
         stamp = [str(ns // 10**9), str(ns % 10**9)]
         rows.append([*stamp, "", *(f"{v:.9g}" for v in read)])
         rows += [[*stamp, "56.84", *[""] * 6]] * (k % 20 == 10)
-    rows += [["0"] * len(names)] * 200
     return written(folder / "merged.csv", rows)

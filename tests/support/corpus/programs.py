@@ -151,21 +151,6 @@ def sensor_logger(log: pl.DataFrame, folder: Path) -> str:
     return "sl"
 
 
-def gnss_logger(log: pl.DataFrame, folder: Path) -> str:
-    """Rows of several kinds, whose columns comments name."""
-    lines = ["# ", "# Version: v3", "# Raw,utcTimeMillis,TimeNanos,Svid"]
-    for word, unit in (("Accel", "Mps2"), ("Gyro", "RadPerSec")):
-        names = [f"Uncal{word}{x}{unit}" for x in "XYZ"]
-        lines.append(f"# Uncal{word},utcTimeMillis,elapsedRealtimeNanos,{','.join(names)},BiasX{unit}")
-    for t, *v in log.select("t", *ACCEL, *GYRO).iter_rows():
-        for word, three in (("Accel", v[:3]), ("Gyro", v[3:])):
-            numbers = ",".join(f"{x:.9g}" for x in three)
-            lines.append(f"Uncal{word},{1_700_000_000_000 + round(1e3 * t)},{round(1e9 * t) + 10**12},{numbers},0.0")
-        lines.append("Raw,1700000000000,5,12")
-    (folder / "gnss_log.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return "gnss_log.txt"
-
-
 def numpy_matrix(log: pl.DataFrame, folder: Path) -> str:
     """Gyros before accelerometers."""
     np.save(folder / "imu.npy", log.select("t", *GYRO, *ACCEL).to_numpy())

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
-INTERVAL, OTHER = "interval", "other"
-"""Kinds of columns: times since the previous sample, and quantities that cannot be calibrated."""
+OTHER = "other"
+"""Kind of columns of quantities that cannot be calibrated."""
 SENSOR_KINDS = (ACCEL, GYRO, MAGNETOMETER)
 
 IDENTIFYING_WEIGHT = 4.0
@@ -162,15 +162,13 @@ _WITH_AXIS = [re.compile(word) for word in (r"([a-z]+)([xyz])(\d)", "(.+)([xyz])
 """Words that contain an axis: ax1 and gyroz2 of several devices, and AccX, xacc, acc1."""
 _IN_G = re.compile(r"[xyz][ _]g", re.IGNORECASE)
 """Names of accelerometers in g, or of gyros beside accelerometers x_a, y_a and z_a."""
-_THERMOMETER = re.compile(r"(t|temp|temperature)(\d?)")
-_ACCEL_WORD = re.compile(r"(acc|accel|accelerometers?|a)([xyz]?)")
-_GYRO_WORD = re.compile(r"(gyr|gyros?|gyroscopes?|g)([xyz]?)")
-_AXIS_WORD = re.compile(r"[xyz0-9]")
-_UNIT_WORD = re.compile(r"(deg_?)?[ckf]|deg|celsius|kelvin|fahrenheit|raw|counts?|lsb|adc")
-_CHIP = re.compile(r"imu|sensors?|chip|die")
-
-ThermometerPlace = tuple[str, str]
-"""Kind of sensor of a thermometer, "accel", "gyro" or "" if not stated, and its axis or number, or ""."""
+_KIND_WORDS = {ACCEL: "acc|accel|accelerometers?", GYRO: "gyr|gyros?|gyroscopes?"}
+_THERMOMETER = re.compile(
+    r"(.*_)?(t(?!\d?_[xyz])|temp(erature)?)\d?"
+    rf"(_({'|'.join(_KIND_WORDS.values())}|[xyz\d]|imu|sensors?|chip|die|deg|[ckf]|celsius|kelvin|fahrenheit"
+    "|raw|counts?|lsb|adc))*"
+)
+"""Names of thermometers, behind which kinds of sensors, axes, numbers, chips and units may follow."""
 _DIRECTION = re.compile(
     r"roll|pitch|yaw|longitudinal|long|longit|forward|surge|lateral|lat|transverse|sway|vertical|vert|heave"
 )
@@ -189,8 +187,8 @@ class Columns:
     """Columns of a table by kind: time, a triad of each kind of sensor, and thermometers as in [log.temperature].
 
     `time_unit` is None if the name has no unit; `others` are further triads and thermometers, `times` all columns named
-    as times, `interval` that of times since the previous sample. `ambiguous`: other columns are nearly as likely;
-    `turning`: gyros that were identified by numbers turn the vector of the accelerometers."""
+    as times. `ambiguous`: other columns are nearly as likely; `turning`: gyros that were identified by numbers turn the
+    vector of the accelerometers."""
 
     time: str | None
     time_unit: str | None
@@ -198,7 +196,6 @@ class Columns:
     temperatures: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
     times: tuple[str, ...] = ()
-    interval: str | None = None
     ambiguous: bool = False
     turning: bool = False
 
@@ -206,7 +203,7 @@ class Columns:
 def columns_by_name(names: Iterable[str]) -> Columns:
     """Identify the columns of a table by their names."""
     names = list(names)
-    thermometers = {name: place for name in names if (place := thermometer(_split(name)[0])) is not None}
+    thermometers = {name: kind for name in names if (kind := thermometer(_split(name)[0])) is not None}
     stems: dict[tuple[str, str], dict[str, str]] = {}  # columns by kind and stem, then by axis
     for name in names:
         words, unit = _split(name)
@@ -242,12 +239,10 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         if kind not in triads and None not in directed:
             triads[kind] = _triad(kind, [name for name in directed if name is not None])
     sensors = {column for triad in triads.values() for column in triad.columns}
-    free = [name for name in names if name and name not in sensors]
-    interval = _best(INTERVAL, free)
-    times = [name for name in free if name not in ("T", interval) and _score(TIME_KIND, name)]
-    time = _best(TIME_KIND, times)
-    thermometers = {name: place for name, place in thermometers.items() if name not in (time, interval)}
-    temperatures = _columns_per_sensor(thermometers, gyros=GYRO in triads)
+    times = [name for name in names if name not in ("", "T", *sensors) and _score(TIME_KIND, name)]
+    time = max(times, key=lambda name: _score(TIME_KIND, name), default=None)
+    thermometers = {name: kind for name, kind in thermometers.items() if name != time}
+    temperatures = _one_per_kind(thermometers, gyros=GYRO in triads)
     return Columns(
         time=time,
         time_unit=None if time is None else time_unit(time),
@@ -255,7 +250,6 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         temperatures=temperatures,
         others=(*others, *(name for name in thermometers if name not in temperatures)),
         times=tuple(times),
-        interval=interval,
     )
 
 
@@ -267,12 +261,6 @@ def _triad(kind: str, columns: Sequence[str]) -> Sensors:
 def _score(kind: str, name: str) -> float:
     words, unit = _split(name)
     return score(kind, "_".join(words), unit)
-
-
-def _best(kind: str, names: Sequence[str]) -> str | None:
-    """Return the first name with the largest score of a kind; None if all scores are 0."""
-    best = max(names, key=lambda name: _score(kind, name), default=None)
-    return best if best is not None and _score(kind, best) else None
 
 
 def time_unit(name: str) -> str | None:
@@ -381,51 +369,22 @@ def _words(name: str) -> list[str]:
 # -------------------- thermometers --------------------
 
 
-def thermometer(words: Sequence[str]) -> ThermometerPlace | None:
-    """Return the place of the thermometer that the words of a name denote; None if they denote none.
+def thermometer(words: Sequence[str]) -> str | None:
+    """Return the kind of sensors of the thermometer that words denote, "" if not stated; None if they denote none.
 
-    >>> thermometer(["temp", "gyro", "x"]), thermometer(["t3"]), thermometer(["chamber", "temperature"])
-    (('gyro', 'x'), ('', '3'), ('', ''))
+    >>> thermometer(["temp", "gyro"]), thermometer(["t3"]), thermometer(["temperature", "setpoint"])
+    ('gyro', '', None)
     """
-    at, match = next(((i, m) for i, word in enumerate(words) if (m := _THERMOMETER.fullmatch(word))), (0, None))
-    if match is None:
+    name = "_".join(words)
+    if not _THERMOMETER.fullmatch(name):
         return None
-    kind, place, before, after = "", match[2], words[:at], words[at + 1 :]
-    for word in (*before, *after):
-        kinds = ((ACCEL, _ACCEL_WORD), (GYRO, _GYRO_WORD))
-        named = next((k for k, pattern in kinds if len(word) > 1 and pattern.fullmatch(word)), "")
-        if named:
-            kind, place = named, place or word[-1] * (word[-1] in "xyz")
-        elif _AXIS_WORD.fullmatch(word) and (match[1] != "t" or word.isdecimal()):
-            place = word
-        elif word in after and not (_UNIT_WORD.fullmatch(word) or _CHIP.fullmatch(word)):
-            return None
-    return kind, place
+    return next((kind for kind, word in _KIND_WORDS.items() if re.search(f"(^|_)({word})(_|$)", name)), "")
 
 
-def _columns_per_sensor(places: dict[str, ThermometerPlace], *, gyros: bool) -> tuple[str, ...]:
-    """Return thermometers as in [log.temperature]: one for all sensors, one per kind, or one per sensor.
+def _one_per_kind(thermometers: Mapping[str, str], *, gyros: bool) -> tuple[str, ...]:
+    """Return thermometers, given with their kinds, as in [log.temperature]: one for all sensors, or one per kind.
 
-    A kind of sensor without a thermometer shares that of the other kind, or one without a kind."""
-    if not places:
-        return ()
-    accel, gyro = _columns_of_kind(places, ACCEL), _columns_of_kind(places, GYRO)
-    unnamed = [name for name, (kind, _) in places.items() if not kind]
-    fallback = unnamed[:1] or list(places)[:1]
-    accel, gyro = accel or gyro or fallback, gyro or accel or fallback
-    if len(accel) == len(gyro) == 1:
-        return tuple(dict.fromkeys([*accel, *gyro] if gyros else accel))
-    kinds = (accel, gyro) if gyros else (accel,)
-    return tuple(name for columns in kinds for name in (columns if len(columns) == 3 else 3 * columns))
-
-
-def _columns_of_kind(places: dict[str, ThermometerPlace], kind: str) -> list[str]:
-    """Return the thermometers of a kind of sensor: three, one, or none."""
-    for candidate in (kind, ""):
-        by_place = {place: name for name, (owner, place) in places.items() if owner == candidate and place}
-        if set("xyz") <= by_place.keys():
-            return [by_place[axis] for axis in "xyz"]
-        single = [name for name, (owner, place) in places.items() if owner == candidate == kind and not place]
-        if single:
-            return single[:1]
-    return []
+    A kind of sensor without a thermometer shares that of the other kind, else one without a kind."""
+    first = {kind: name for name, kind in reversed(list(thermometers.items()))}
+    taken = [first.get(kind, first.get(other, first.get(""))) for kind, other in ((ACCEL, GYRO), (GYRO, ACCEL))]
+    return tuple(dict.fromkeys(name for name in taken[: 1 + gyros] if name is not None))

@@ -9,7 +9,7 @@ and a log of ArduPilot a text. Other packages provide further readers (`tumble.p
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -83,11 +83,6 @@ class Message:
     def gyro(self) -> Sensors | None:
         """Its gyros."""
         return self.triads.get(GYRO)
-
-    @property
-    def thermometer(self) -> bool:
-        """Whether the message has temperatures and times only."""
-        return self.timed and not self.triads and bool(self.temperatures)
 
     @property
     def columns(self) -> tuple[str, ...]:
@@ -219,30 +214,21 @@ def _intact(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: expected an intact recording, found it damaged or incomplete: {words}") from None
 
 
-def write_log(path: Path, accel: Message, gyro: Message | None = None, thermometers: Sequence[Message] = ()) -> None:
+def write_log(path: Path, accel: Message, gyro: Message | None = None) -> None:
     """Write the rows of a message with accelerometers, and of another one with the gyros, to a Parquet file.
 
     Accelerometers of another message than the gyros, and their temperatures, are interpolated linearly at the times of
-    the gyros, because gyros are integrated, over the time that both cover. Temperatures of separate messages are
-    interpolated too, and constant beyond their ends."""
-    slow = [*thermometers] if gyro in (None, accel) else [accel, *thermometers]
-    slow_tables = [(message.columns, pl.concat(message.rows())) for message in slow]
-    tables = accel.rows()
-    if gyro is not None and gyro is not accel:
-        fast = pl.concat(gyro.rows())
-        at, first, last = fast[TIME].to_numpy(), slow_tables[0][1][TIME][0], slow_tables[0][1][TIME][-1]
-        fast = fast.filter((at >= first) & (at <= last))
-        if fast.height < 2:
-            raise InputError(
-                f"{accel.name} and {gyro.name}: expected messages recorded at the same time, found them {first:.6g} to "
-                f"{last:.6g} s and {at[0]:.6g} to {at[-1]:.6g} s"
-            )
-        tables = iter([fast])
-
-    def interpolated(table: pl.DataFrame) -> pl.DataFrame:
-        for columns, other in slow_tables:
-            series = (np.interp(table[TIME], other[TIME], other[name]) for name in columns)
-            table = table.with_columns(pl.Series(name, values) for name, values in zip(columns, series, strict=True))
-        return table
-
-    write_tables(path, map(interpolated, tables))
+    the gyros, because gyros are integrated, over the time that both cover."""
+    if gyro is None or gyro is accel:
+        write_tables(path, accel.rows())
+        return
+    fast, slow = pl.concat(gyro.rows()), pl.concat(accel.rows())
+    at, first, last = fast[TIME].to_numpy(), slow[TIME][0], slow[TIME][-1]
+    fast = fast.filter((at >= first) & (at <= last))
+    if fast.height < 2:
+        raise InputError(
+            f"{accel.name} and {gyro.name}: expected messages recorded at the same time, found them {first:.6g} to "
+            f"{last:.6g} s and {at[0]:.6g} to {at[-1]:.6g} s"
+        )
+    added = (pl.Series(name, np.interp(fast[TIME], slow[TIME], slow[name])) for name in accel.columns)
+    write_tables(path, iter([fast.with_columns(added)]))

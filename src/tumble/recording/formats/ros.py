@@ -1,5 +1,4 @@
-"""ROS 1 bags, ROS 2 bags and MCAP files with ROS messages: sensor_msgs/Imu, sensor_msgs/MagneticField and
-sensor_msgs/Temperature.
+"""ROS 1 bags, ROS 2 bags and MCAP files with ROS messages: sensor_msgs/Imu and sensor_msgs/MagneticField.
 
 The time is that of the header, when the sample was taken, or that of the recording if headers are empty. Some drivers
 (depth cameras) publish accelerometers and gyros as Imu messages of two topics, with zeros in place of the other:
@@ -8,7 +7,6 @@ sensors whose first readings are all exactly zero are absent.
 
 from __future__ import annotations
 
-import re
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
@@ -22,19 +20,17 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from tumble.documents import check_regular
-from tumble.recording.columns.names import thermometer
 from tumble.recording.formats import AXES, TIME, Message, triads_of
 from tumble.recording.text.pieces import check_unpacked
 
 NOTHING = "no topic of type sensor_msgs/Imu"
 
-_IMU, _TEMPERATURE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
+_IMU = "sensor_msgs/msg/Imu"
 _UNITS = {"accel": "m/s^2", "gyro": "rad/s", "field": "uT"}
 _FIELDS: Mapping[str, Mapping[str, tuple[str, float]]] = {
     _IMU: {f"accel_{axis}": (f"linear_acceleration.{axis}", 1.0) for axis in AXES}
     | {f"gyro_{axis}": (f"angular_velocity.{axis}", 1.0) for axis in AXES},
     "sensor_msgs/msg/MagneticField": {f"field_{axis}": (f"magnetic_field.{axis}", 1e6) for axis in AXES},
-    _TEMPERATURE: {"temperature": ("temperature", 1.0)},
 }
 """Columns of each type of message: the field, and the factor to the unit of the column."""
 _ROWS = 1 << 15
@@ -80,16 +76,12 @@ def _bytes_of_chunks(path: Path) -> int:
 
 def _message(path: Path, origin: int, topic: str, kind: str, count: int) -> Message:
     columns = tuple(_FIELDS[kind])
-    if kind == _TEMPERATURE:  # named after the kind of sensor in the topic's name
-        sensor, _ = thermometer(re.findall("[a-z]+", topic.lower())) or ("", "")
-        columns = (f"{sensor}_temperature",) if sensor else columns
     head = next(_tables(islice(_readings(path, origin, topic), _FIRST_ROWS), columns))
     present = [n for n in columns if kind != _IMU or head.select(f"{n[:-1]}{a}" for a in AXES).to_numpy().any()]
     return Message(
         name=topic,
         count=count,
         triads=triads_of(present, _UNITS),
-        temperatures=columns if kind == _TEMPERATURE else (),
         rows=lambda: _tables(_readings(path, origin, topic), columns),
     )
 

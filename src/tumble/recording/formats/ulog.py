@@ -1,5 +1,4 @@
-"""PX4 flight logs (ULog): the uncorrected messages sensor_accel, sensor_gyro and sensor_mag, one per instance, and the
-temperature of sensor_baro.
+"""PX4 flight logs (ULog): the uncorrected messages sensor_accel, sensor_gyro and sensor_mag, one per instance.
 
 sensor_combined, which PX4 has corrected with its calibration and averaged, is used only where the others are slower;
 by default PX4 logs them once a second.
@@ -31,12 +30,11 @@ _FIELDS: Mapping[str, Mapping[str, str]] = {
     "sensor_accel": {f"accel_{axis}": axis for axis in AXES},
     "sensor_gyro": {f"gyro_{axis}": axis for axis in AXES},
     "sensor_mag": {f"field_{axis}": axis for axis in AXES},
-    "sensor_baro": {},
     _COMBINED: {f"accel_{axis}": f"accelerometer_m_s2[{i}]" for i, axis in enumerate(AXES)}
     | {f"gyro_{axis}": f"gyro_rad[{i}]" for i, axis in enumerate(AXES)},
 }
 """Columns of each message with its fields."""
-_THERMOMETERS = {"sensor_accel": "accel", "sensor_gyro": "gyro", "sensor_mag": "field", "sensor_baro": "baro"}
+_THERMOMETERS = {"sensor_accel": "accel", "sensor_gyro": "gyro", "sensor_mag": "field"}
 _CALIBRATED = {"sensor_accel": ("accel", "CAL_ACC{}_ID"), "sensor_gyro": ("gyro", "CAL_GYRO{}_ID")}
 _MOST = 4  # sensors of a kind that PX4 has calibrations of
 
@@ -58,7 +56,6 @@ def messages(path: Path) -> list[Message]:
     with io.FileIO(path) as file, _PastTheEnd(file) as stream:
         log = ULog(stream, list(_FIELDS))
     kept = sorted(log.data_list, key=lambda d: (d.name, d.multi_id))
-    kept = [data for data in kept if data.name != "sensor_baro" or _has_temperature(data.data)]
     origin = min((int(_taken(data.data)[0]) for data in kept), default=0)
     candidates = [_message(data, origin, log.initial_parameters) for data in kept]
     combined = max((m.count for m in candidates if m.name.startswith(_COMBINED)), default=0)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import polars as pl
@@ -28,7 +28,7 @@ import polars as pl
 from tumble.errors import LogError
 from tumble.recording.log_source import LogSource, Unread, unread_error
 from tumble.recording.session import LogSpec
-from tumble.units import Array, BoolArray, IntArray
+from tumble.units import TIME_UNITS, Array, BoolArray, IntArray
 
 GAP_STEP = 1.5  # intervals; a longer step in time is a gap
 _BRIDGED_SAMPLES = 5
@@ -121,20 +121,19 @@ class LogRows:
     numbers, time
         Numbers (m,) of the rows, from 1, and their times (m,), s.
     values
-        Numbers of accelerometers (m, na), gyros (m, ng), magnetometer (m, 3) and thermometers (m, T), as in the file.
+        Numbers (m, columns) of accelerometers, gyros, magnetometer and thermometers, as in the file.
     unread
         Unreadable parts by row number.
     """
 
     numbers: IntArray
     time: Array
-    values: tuple[Array, ...]
+    values: Array
     unread: Mapping[int, Unread] = field(default_factory=dict)
 
     def part(self, rows: slice | BoolArray) -> LogRows:
         """Return a part of the rows."""
-        values = tuple(v[rows] for v in self.values)
-        return LogRows(numbers=self.numbers[rows], time=self.time[rows], values=values, unread=self.unread)
+        return replace(self, numbers=self.numbers[rows], time=self.time[rows], values=self.values[rows])
 
     def times_followed_by(self, other: LogRows) -> tuple[IntArray, Array]:
         """Return numbers and times of these rows and of the rows after them."""
@@ -143,15 +142,15 @@ class LogRows:
     def followed_by(self, other: LogRows) -> LogRows:
         """Return these rows and the rows after them."""
         numbers, time = self.times_followed_by(other)
-        values = tuple(np.concatenate(pair) for pair in zip(self.values, other.values, strict=True))
+        values = np.concatenate([self.values, other.values])
         unread = {**{n: u for n, u in self.unread.items() if n in self.numbers}, **other.unread}
         return LogRows(numbers=numbers, time=time, values=values, unread=unread)
 
     def lost(self) -> BoolArray:
         """Return which rows have a number that is no reading."""
-        if all(v.min() >= -_LARGEST and v.max() <= _LARGEST for v in self.values if v.size):
+        if self.values.min(initial=0.0) >= -_LARGEST and self.values.max(initial=0.0) <= _LARGEST:
             return np.zeros(len(self.time), dtype=bool)
-        return np.asarray(~is_reading(np.hstack(self.values)).all(axis=1))
+        return np.asarray(~is_reading(self.values).all(axis=1))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -197,7 +196,7 @@ class Bridge:
     count: int = 0
     first: Gap | None = None
 
-    def samples(self, stream: Iterator[LogRows]) -> Iterator[tuple[Array, Array, tuple[Array, ...]]]:
+    def samples(self, stream: Iterator[LogRows]) -> Iterator[tuple[Array, Array, Array]]:
         """Yield times and intervals, s, and numbers of all samples, interpolated if lost."""
         behind, start = 0, 0.0
         for new in stream:
@@ -221,7 +220,11 @@ class Bridge:
             raise LogError(f"{self.source.path}: expected a log, found no rows; the file is empty")
         length = float(self.last.time[0]) - start + self.interval
         if length < _SHORTEST_LOG * (1.0 - 1e-9):
-            raise LogError(f"{self.source.path}: expected at least {_SHORTEST_LOG:g} s, found {length:.6g} s")
+            hint, factor = "", 1e3 * self.spec.time_factor
+            unit = next((unit for unit, size in TIME_UNITS.items() if math.isclose(size, factor)), None)
+            if self.spec.time is not None and not self.spec.clock and unit is not None:
+                hint = f"; is the time {self.spec.time!r} in {unit}, {1e3 * length:.6g} s? State time_unit in [log]"
+            raise LogError(f"{self.source.path}: expected at least {_SHORTEST_LOG:g} s, found {length:.6g} s{hint}")
         if self.pending is not None:
             self._leave_out(self.pending, behind, math.nan)
 
@@ -243,7 +246,7 @@ class Bridge:
         gap = Gap(file=self.file, row=row, time=time, samples=samples, what=what[0], stop=stop, integrable=False)
         self.gaps.append(gap)
 
-    def _repaired(self, rows: LogRows, lost: BoolArray) -> tuple[Array, Array, tuple[Array, ...]]:
+    def _repaired(self, rows: LogRows, lost: BoolArray) -> tuple[Array, Array, Array]:
         """Return times, intervals and numbers of the samples of rows, with short gaps filled and long ones left out.
 
         The last row must be sound, as must any row passed on before. All returned numbers are finite."""
@@ -265,16 +268,13 @@ class Bridge:
                 self._report(rows, place, time, start, stop)
                 kept[start:stop] = stop - start <= _BRIDGED_SAMPLES
             after_long = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1) + 1
-            repaired = []  # columns of all samples, linear in time between finite numbers
-            for numbers in rows.values:
-                out = np.full((len(time), numbers.shape[1]), np.nan)
-                out[place] = numbers
-                for column in out.T:
-                    bad = ~is_reading(column)
-                    if bad.any():
-                        column[bad] = np.interp(time[bad], time[~bad], column[~bad])
-                repaired.append(out[kept][new:])
-            values, time = tuple(repaired), time[kept]
+            out = np.full((len(time), rows.values.shape[1]), np.nan, order="F")
+            out[place] = rows.values
+            for column in out.T:  # linear in time between finite numbers
+                bad = ~is_reading(column)
+                if bad.any():
+                    column[bad] = np.interp(time[bad], time[~bad], column[~bad])
+            values, time = out[kept][new:], time[kept]
             steps = np.diff(time)
         dt = steps if new else np.concatenate([[self.interval], steps])
         dt[slice(None) if self.spec.unstamped else after_long - new] = self.interval
@@ -313,7 +313,5 @@ class Bridge:
 
     def _not_finite(self, rows: LogRows) -> list[tuple[str, float]]:
         """Return columns with numbers that are not finite, with the first such number of each."""
-        numbers = np.hstack(rows.values)
-        bad = ~is_reading(numbers)
-        columns = [column for column in self.spec.columns if column != self.spec.time]
-        return [(columns[j], float(numbers[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))]
+        bad, names = ~is_reading(rows.values), self.spec.readings
+        return [(names[j], float(rows.values[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))]

@@ -113,13 +113,12 @@ def rows_of(
     on_grid
         Whether row k has time k of the grid, or the one nearest to its stamp, in place of the stamp.
     """
-    groups = [part.columns for part in (spec.accel, spec.gyro, spec.magnetometer, spec.temperature) if part is not None]
     timed = _TimedRows(source=source, spec=spec, file=file, grid=grid, on_grid=on_grid, gaps=gaps)
     first = 1
     for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):
         numbers = np.arange(first, first + table.height)
         time = np.empty(table.height) if spec.time is None else seconds_of_stamps(table[spec.time].to_numpy(), spec)
-        values = tuple(side_by_side(table, group) for group in groups)
+        values = side_by_side(table, spec.readings)
         yield timed.feed(LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread}))
         first += table.height
     if timed.pending is not None:

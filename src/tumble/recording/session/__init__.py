@@ -139,8 +139,8 @@ class TemperatureChannels:
     accel: tuple[int, ...]
     gyro: tuple[int, ...]
     unit_name: str
-    gain: Array
-    shift: Array
+    gain: float
+    shift: float
 
     def to_celsius(self, numbers: Array) -> Array:
         """Return temperatures (m, T), °C, from a log's numbers (m, T)."""
@@ -201,13 +201,15 @@ class LogSpec:
         return {kind: channels.unit.kind == "increment" for kind, channels in kinds.items() if channels is not None}
 
     @property
+    def readings(self) -> tuple[str, ...]:
+        """Columns of accelerometers, gyros, magnetometer and thermometers."""
+        parts = (self.accel, self.gyro, self.magnetometer, self.temperature)
+        return tuple(column for part in parts if part is not None for column in part.columns)
+
+    @property
     def columns(self) -> tuple[str, ...]:
-        """All columns that are read: time, accelerometers, gyros, magnetometer, thermometers."""
-        gyro = self.gyro.columns if self.gyro else ()
-        magnetometer = self.magnetometer.columns if self.magnetometer else ()
-        thermometers = () if self.temperature is None else self.temperature.columns
-        columns = (self.time, *self.accel.columns, *gyro, *magnetometer, *thermometers)
-        return tuple(column for column in columns if column is not None)
+        """All columns that are read: the time, and the readings."""
+        return self.readings if self.time is None else (self.time, *self.readings)
 
 
 class ListedPosition(SessionTable):

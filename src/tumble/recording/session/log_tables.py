@@ -20,8 +20,6 @@ from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TEMPERATURE_UN
 
 CLOCK = "iso8601"
 """The time unit for dates with times and for times of day."""
-RAW = "raw"
-"""The unit of thermometers with a scale and an offset."""
 
 _UNIT_NORM_TOLERANCE = 1e-6
 _LEAST_SINGULAR_VALUE = 1e-3  # of the axes; smaller ones leave a direction unobserved
@@ -180,18 +178,7 @@ class TemperatureTable(SessionTable):
     In a list with one per sensor, accelerometers first, a thermometer may be repeated."""
 
     columns: list[str] = Field(min_length=1, description="a list of column names")
-    unit: Annotated[str, one_of([*TEMPERATURE_UNITS, RAW])] = key("the name of a unit, a string", "degC")
-    scale: Numbers = key("a number or a list of numbers: raw numbers per degC")
-    offset: Numbers = key("a number or a list of numbers: the raw number at 0 degC")
-
-    def celsius(self) -> tuple[Array, Array]:
-        """Return gain and shift (T,) of the columns: temperatures are gain · number + shift in °C."""
-        ones = np.ones(len(self.columns))
-        if self.unit != RAW:
-            gain, shift = TEMPERATURE_UNITS[self.unit]
-            return gain * ones, shift * ones
-        scale, offset = ones * np.asarray(self.scale, float), ones * np.asarray(self.offset or 0.0, float)
-        return 1.0 / scale, -offset / scale
+    unit: Annotated[str, one_of(TEMPERATURE_UNITS)] = key("the name of a unit, a string", "degC")
 
     def of_sensors(self, accel: int, gyro: int) -> tuple[int, ...]:
         """Return the index of the column of each accelerometer and gyro. Raises ValueError for another number."""
@@ -204,32 +191,16 @@ class TemperatureTable(SessionTable):
             )
         return places
 
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if self.unit == RAW and (self.scale is None or not np.all(self.scale)):
-            raise ValueError(
-                f'scale: expected the raw numbers per degC for unit "raw", found {"none" if self.scale is None else 0}'
-            )
-        if self.unit != RAW and (self.scale is not None or self.offset is not None):
-            key = "offset" if self.scale is None else "scale"
-            raise ValueError(f'{key}: expected only with unit "raw", found unit "{self.unit}"')
-        check_one_per_column(len(self.columns), scale=self.scale, offset=self.offset)
-        if len(set(zip(self.columns, *self.celsius(), strict=True))) > len(set(self.columns)):
-            raise ValueError("scale: expected one scale and offset for a column that is named again, found others")
-        return self
-
     def si(self, accel: int, gyro: int) -> TemperatureChannels:
-        gain, shift = self.celsius()
-        columns = tuple(dict.fromkeys(self.columns))
-        first = [self.columns.index(column) for column in columns]
+        columns, (gain, shift) = tuple(dict.fromkeys(self.columns)), TEMPERATURE_UNITS[self.unit]
         number = tuple(columns.index(self.columns[place]) for place in self.of_sensors(accel, gyro))
         return TemperatureChannels(
             columns=columns,
             accel=number[:accel],
             gyro=number[accel:],
             unit_name=self.unit,
-            gain=gain[first],
-            shift=shift[first],
+            gain=gain,
+            shift=shift,
         )
 
 

@@ -44,9 +44,6 @@ JOINED = (
 )
 """Dates with a time of day and uniform or no separators: 2026_6_15_18_21_44.62, 20260615 182144."""
 _JOINED = re.compile("|".join(JOINED))
-GPS_WEEK = r"(\d{3,4}):(\d{1,6}(?:\.\d+)?)"
-"""A GPS week (all or its last digits) and the second of the week."""
-_GPS_WEEK = re.compile(GPS_WEEK)
 MONTHS = "jan", "feb", "m[aä]r|mrz", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]"
 """Beginnings of the names of months in English and German."""
 NAMED_MONTH = (
@@ -121,11 +118,10 @@ class Top:
 
 
 def is_clock(cell: str) -> bool:
-    """Return whether a cell is a time of day, a date with one, or a second in a GPS week."""
+    """Return whether a cell is a time of day, or a date with one."""
     for date in _NAMED_MONTH if ":" in cell else ():
         cell = date.sub(lambda found: f"1.1.2000 {found.groupdict().get('time', '')}", cell)
-    clock = ":" in cell and (_CLOCK.fullmatch(cell) or _GPS_WEEK.fullmatch(cell))
-    return bool(clock or _JOINED.fullmatch(cell))
+    return bool((":" in cell and _CLOCK.fullmatch(cell)) or _JOINED.fullmatch(cell))
 
 
 # -------------------- lines above the numbers --------------------

@@ -12,7 +12,6 @@ import sys
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
-from mmap import mmap
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ SMALL_BYTES = 1 << 24
 
 _FIRST_PIECE_BYTES = 1 << 18
 _PIECE_BYTES = 1 << 24
-_LONGEST_CHARACTER = 4  # bytes, in UTF-8
 _HEADER_BYTES = 18  # longest header of a frame of Zstandard
 _DEFLATE_RATIO = 1032  # largest ratio of gzip; an archive that states a larger one was cut
 
@@ -39,7 +37,7 @@ def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
     if ending in (".gz", ".zst"):
         packed, damaged, stated = _gzip(path) if ending == ".gz" else _zstandard(path)
         check_unpacked(path, stated)
-        stream = io.BufferedReader(_Limited(packed, damaged, path, largest_unpacked(path)))
+        stream = io.BufferedReader(_Limited(packed, damaged, path))
     else:
         stream = path.open("rb")
     return stream if encoding == "utf-8" else _Recoded(stream, encoding)
@@ -78,11 +76,6 @@ class _Recoded(io.BufferedIOBase):
     def read(self, size: int | None = -1, /) -> bytes:
         return self._text.read(size).encode("utf-8", errors="replace")
 
-    def readinto(self, buffer: Any, /) -> int:
-        text = self.read(len(buffer) // _LONGEST_CHARACTER)
-        buffer[: len(text)] = text
-        return len(text)
-
     def readline(self, size: int | None = -1, /) -> bytes:
         return self._text.readline(-1 if size is None else size).encode("utf-8", errors="replace")
 
@@ -93,27 +86,20 @@ class _Recoded(io.BufferedIOBase):
 
 def whole_lines(stream: io.BufferedIOBase, path: Path) -> Iterator[bytes]:
     """Yield the rest of a stream in pieces of whole lines, the first one small, without blank lines at its end."""
-    buffer = mmap(-1, max(_FIRST_PIECE_BYTES, _PIECE_BYTES) + LINE_BYTES)  # only the filled part uses memory
-    held, size = 0, _FIRST_PIECE_BYTES
-    while True:
-        with memoryview(buffer) as whole, whole[held : held + size] as free:
-            stop = held + stream.readinto(free)
-        if stop == held:
-            break
+    rest, size = b"", _FIRST_PIECE_BYTES
+    while new := stream.read(size):
+        piece, size = rest + new, _PIECE_BYTES
         # the last line may be incomplete, or the last one before blank lines
-        first = max(0, stop - LINE_BYTES)
-        end = buffer.rfind(b"\n", 0, first + len(buffer[first:stop].rstrip())) + 1
+        first = max(0, len(piece) - LINE_BYTES)
+        end = piece.rfind(b"\n", 0, first + len(piece[first:].rstrip())) + 1
         line = 0
-        while line < end and (line := buffer.rfind(b"\n", line, line + LINE_BYTES) + 1):
+        while line < end and (line := piece.rfind(b"\n", line, line + LINE_BYTES) + 1):
             pass
-        rest = buffer[end:stop]
+        rest = piece[end:]
         if line < end or len(rest) > LINE_BYTES:
             raise LogError(f"{path}: expected lines of numbers, found one of more than {LINE_BYTES} bytes")
         if end:
-            yield buffer[:end]
-        held, size = len(rest), _PIECE_BYTES
-        buffer[:held] = rest
-    rest = buffer[:held]
+            yield piece[:end]
     if rest.strip():
         empty, line_end, _ = rest[len(rest.rstrip()) :].partition(b"\n")  # tabs are empty values
         yield rest.rstrip() + empty.rstrip(b"\r") + line_end
@@ -128,16 +114,20 @@ def largest_unpacked(path: Path) -> int:
 
 
 def check_unpacked(path: Path, size: int) -> None:
-    """Raise LogError if a file states that it unpacks to a larger `size`, bytes, than readings do."""
-    if size > largest_unpacked(path):
-        raise _too_large(path, largest_unpacked(path), _megabytes(size))
+    """Raise LogError if a packed file unpacks to a larger `size`, bytes, than readings do."""
+    limit = largest_unpacked(path)
+    if size > limit:
+        raise LogError(
+            f"{path}: expected readings, of which a packed file of {_megabytes(path.stat().st_size)} holds at most "
+            f"{_megabytes(limit)}, found {_megabytes(size)}; if they are readings, unpack them"
+        )
 
 
 class _Limited(io.RawIOBase):
-    """A decompressed stream of at most `limit` bytes, whose error `damaged` becomes an OSError."""
+    """The decompressed stream of a file, of limited size, whose error `damaged` becomes an OSError."""
 
-    def __init__(self, stream: Any, damaged: type[Exception], path: Path, limit: int) -> None:
-        self._stream, self._damaged, self._path, self._limit, self._count = stream, damaged, path, limit, 0
+    def __init__(self, stream: Any, damaged: type[Exception], path: Path) -> None:
+        self._stream, self._damaged, self._path, self._count = stream, damaged, path, 0
 
     def readable(self) -> bool:
         return True
@@ -148,20 +138,12 @@ class _Limited(io.RawIOBase):
         except self._damaged as error:
             raise OSError(str(error)) from error
         self._count += count
-        if self._count > self._limit:
-            raise _too_large(self._path, self._limit, f"{_megabytes(self._count)} and more")
+        check_unpacked(self._path, self._count)
         return count
 
     def close(self) -> None:
         self._stream.close()
         super().close()
-
-
-def _too_large(path: Path, limit: int, found: str) -> LogError:
-    return LogError(
-        f"{path}: expected readings, of which a packed file of {_megabytes(path.stat().st_size)} holds at most "
-        f"{_megabytes(limit)}, found {found}; if they are readings, unpack them"
-    )
 
 
 def _megabytes(size: int) -> str:

@@ -36,7 +36,6 @@ from tumble.recording.session import LogSpec
 from tumble.recording.text.dialect import (
     BLANKS,
     FIRST_ROWS,
-    GPS_WEEK,
     JOINED,
     LINE_BYTES,
     MONTHS,
@@ -57,8 +56,6 @@ _DATE = r"^\s*\"?(?:(\d{4})[-./](\d{1,2})[-./](\d{1,2})|(\d{1,2})[-./](\d{1,2})[
 _HALF = r"([AaPp]\.?[Mm]\.?)?"
 _TIME = r"(?:^|[T ])\s*(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*" + _HALF + r"\s*(Z|[+-]\d{2}:?\d{2})?\s*\"?$"
 _DAY = 86400
-_GPS_START = 3657  # days from 1970-01-01 to 1980-01-06, when GPS weeks begin
-_WEEK = f'^\\s*"?{GPS_WEEK}"?$'
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -244,8 +241,7 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
 
 
 # -------------------- times of day and dates as seconds --------------------
-# ISO 8601, 31.12.2025 23:59:59,5, 23:59:59.5, 59:59.5, 11:59:59.5 PM, 2025_12_31_23_59_59.5, Wed Dec 31 23:59:59 2025,
-# 2399:345599.5
+# ISO 8601, 31.12.2025 23:59:59,5, 23:59:59.5, 59:59.5, 11:59:59.5 PM, 2025_12_31_23_59_59.5, Wed Dec 31 23:59:59 2025
 
 
 def day_of(text: str) -> int:
@@ -276,9 +272,7 @@ def seconds_of(text: pl.Series, day: int) -> pl.Series:
     zone = parts[6].str.replace(":", "").str.extract(r"([+-]\d{4})", 1).cast(pl.Int64, strict=False).fill_null(0)
     east = zone.sign() * (zone.abs() // 100 * 60 + zone.abs() % 100) * 60
     days = (_days(text).fill_null(day) - day) * _DAY
-    seconds_of_day = hour * 3600 + minute * 60 + second.cast(pl.Float64, strict=False)
-    seconds_of_week = text.str.extract(_WEEK, 2).cast(pl.Float64, strict=False)
-    return (days - east) + seconds_of_week.zip_with(seconds_of_week.is_not_null(), seconds_of_day)
+    return (days - east) + hour * 3600 + minute * 60 + second.cast(pl.Float64, strict=False)
 
 
 def _normalised(text: pl.Series) -> pl.Series:
@@ -298,9 +292,7 @@ def _days(text: pl.Series) -> pl.Series:
     parts = [text.str.extract(_DATE, k) for k in range(1, 7)]
     year, month, day = (parts[i].zip_with(parts[i].is_not_null(), parts[j]) for i, j in ((0, 5), (1, 4), (2, 3)))
     written = year + "-" + month.str.zfill(2) + "-" + day.str.zfill(2)
-    days = written.str.to_date("%Y-%m-%d", strict=False).cast(pl.Int32).cast(pl.Int64)
-    week = _GPS_START + 7 * text.str.extract(_WEEK, 1).cast(pl.Int64, strict=False)
-    return week.zip_with(week.is_not_null(), days)
+    return written.str.to_date("%Y-%m-%d", strict=False).cast(pl.Int32).cast(pl.Int64)
 
 
 def times_of(column: pl.Series, spec: LogSpec) -> Array:
