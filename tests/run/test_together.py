@@ -374,9 +374,11 @@ def described(setup: Setup) -> dict[str, Any]:
 CUBE = Setup.of(grade="mems", programme="cube-14", rest=5.0, rate_deg_s=60.0, sample_rate=50.0, gravity_u=0.0)
 
 
-def quiet(scenario: Scenario, setup: Setup, seed: int, course: tuple[float, ...] = (0.0, 40.0)) -> Session:
+def quiet(
+    scenario: Scenario, setup: Setup, seed: int, course: tuple[float, ...] = (0.0, 40.0), seconds: int = 600
+) -> Session:
     """A device that lies in one position while it takes this course of temperatures, °C, in ten minutes."""
-    rng, count = np.random.default_rng(seed), 600 * 50
+    rng, count = np.random.default_rng(seed), seconds * 50
     celsius = np.interp(np.linspace(0.0, len(course) - 1.0, count), np.arange(len(course)), course)
     warmer = celsius + ZERO_CELSIUS - REFERENCE
     true = {"accel": np.array([0.0, 0.0, setup.gravity]), "gyro": np.zeros(3)}
@@ -411,6 +413,14 @@ def test_levels_and_a_quiet_ramp_are_one_calibration(made: tuple[Scenario, list[
                 assert parameter.u is not None
                 assert abs(parameter.value - true) < 6.0 * parameter.u, parameter.name
     assert found["gyro.bias.x.t1"].learned == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_session_may_be_one_rest() -> None:
+    scenario = device("mems", CUBE, seed=11)
+    levels = [logged(scenario, CUBE, celsius, seed) for seed, celsius in enumerate((0.0, 40.0))]
+    found = calibrate_together([*levels, quiet(scenario, CUBE, 4, (20.0, 20.0), seconds=20)])
+    assert found.evidence.together[2].rests == 1
+    assert found.outcome.accepted, found.outcome.reasons
 
 
 def test_the_sessions_are_in_the_file(made: tuple[Scenario, list[Session], Calibration], tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ more likely than the larger in-run biases: if Δχ² exceeds the difference of b
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -93,36 +94,37 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
     noise_only, usual_biases, excess = with_scatter, with_scatter, np.inf
     if with_scatter[0].has_scatter:
         noise_only = list(projections(linearised, VarianceComponents(), rest, turn))
-    if linearised.components.wanders and any(c.abrupt for c in candidates):
-        components = _with_usual_biases(linearised)
-        usual_biases = list(projections(linearised, components, rest, turn))
-        deviances = [diagnostic_solution(linearised, each).deviance for each in (components, linearised.components)]
+    components, in_run = linearised.components, linearised.problem.observations.in_run
+    if components.wanders and any(c.abrupt for c in candidates):
+        sizes = {f"{kind}_in_run": min(getattr(components, f"{kind}_in_run"), in_run[kind]) for kind in in_run}
+        usual = replace(components, **sizes, unlike=np.zeros(0))
+        usual_biases = list(projections(linearised, usual, rest, turn))
+        deviances = [diagnostic_solution(linearised, each).deviance for each in (usual, components)]
         excess = float(deviances[0] - deviances[1])
-    places = dict[tuple[str, tuple[str, ...]], int]()
+    places = Counter[tuple[str, tuple[str, ...]]]()
     for c in candidates:
-        places[c.name, c.concerns] = places.get((c.name, c.concerns), 0) + c.places
+        places[c.name, c.concerns] += c.places
     causes_by_session = []
-    for s, (by_noise, estimated, usual) in enumerate(zip(noise_only, with_scatter, usual_biases, strict=True)):
+    for s, (by_noise, estimated, by_usual) in enumerate(zip(noise_only, with_scatter, usual_biases, strict=True)):
         best = dict[tuple[str, tuple[str, ...]], tuple[Cause, IntArray, Projection]]()
         for c, own_columns in zip(candidates, columns, strict=True):
-            first, fit, projection = by_noise.fit(own_columns, c.largest_u), estimated.fit(own_columns), estimated
+            name, first, fit = (c.name, c.concerns), by_noise.fit(own_columns, c.largest_u), estimated.fit(own_columns)
             if first is None or fit is None:
                 continue
-            p_value, values = projection.p_value(fit.drop, fit.rank), fit.values
-            if c.abrupt and (other := usual.fit(own_columns)) is not None:
-                values = other.values
-                if other.drop > excess + scipy.special.chdtri(other.rank, FALSE_ALARMS / places[c.name, c.concerns]):
-                    projection, p_value = usual, usual.p_value(other.drop, other.rank)
-            p_value = max(by_noise.p_value(first.drop, first.rank), p_value)
-            p_value = min(1.0, places[c.name, c.concerns] * p_value)
-            if (c.name, c.concerns) in best and best[c.name, c.concerns][0].p_value <= p_value:
+            beside = (by_usual.fit(own_columns) if c.abrupt else None) or fit
+            projection, judged = estimated, fit
+            if c.abrupt and beside.drop > excess + scipy.special.chdtri(beside.rank, FALSE_ALARMS / places[name]):
+                projection, judged = by_usual, beside
+            p_value = max(each.p_value(f.drop, f.rank) for each, f in ((by_noise, first), (projection, judged)))
+            p_value = min(1.0, places[name] * p_value)
+            if name in best and best[name][0].p_value <= p_value:
                 continue
             shift, variance = fit.shift.copy(), estimated.u**2
             for group, (change, u) in c.direct.items():
                 shift[groups[group]] -= change * fit.values[0]
                 variance[groups[group]] += u**2
             damage = np.abs(shift) / np.sqrt(variance)
-            size = with_unit(float(np.abs(values).max()), c.unit)
+            size = with_unit(float(np.abs(beside.values).max()), c.unit)
             cause = Cause(
                 name=c.name,
                 concerns=c.concerns,
@@ -130,20 +132,9 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
                 by_group={group: float(damage[members].max()) for group, members in groups.items()},
                 sentence=c.sentences[min(s, len(c.sentences) - 1)].format(size=size),
             )
-            best[c.name, c.concerns] = cause, own_columns, projection
+            best[name] = cause, own_columns, projection
         causes_by_session.append(_beside_the_likeliest(list(best.values())))
     return causes_by_session
-
-
-def _with_usual_biases(linearised: Linearisation) -> VarianceComponents:
-    """Return the variance components with in-run biases that are at most as large as usual."""
-    components, usual = linearised.components, linearised.problem.observations.in_run
-    return replace(
-        components,
-        accel_in_run=min(components.accel_in_run, usual.get("accel", np.inf)),
-        gyro_in_run=min(components.gyro_in_run, usual.get("gyro", np.inf)),
-        unlike=np.zeros(0),
-    )
 
 
 def _beside_the_likeliest(found: list[tuple[Cause, IntArray, Projection]]) -> list[Cause]:
@@ -226,28 +217,27 @@ def jumps(session: LinearisedSession) -> Iterator[Candidate]:
     The turn there has a bias of its own, as the jump may be anywhere in it. The parameters are the means over the
     rests, and the jump is about these."""
     rests, parts = session.observations.rests, session.problem.parts
-    turns = len(session.problem.before_turn)
-    longest = max(part.rests.stop - part.rests.start for part in parts) - 2 * RESTS_BESIDE_JUMP + 1
-    for place in np.linspace(0.0, 1.0, min(max(longest, 1), JUMP_PLACES)):
-        at_rest, in_turn, there, where = np.zeros(len(rests)), np.zeros(turns), np.zeros(turns), list[str]()
-        for part in parts:
-            first, beyond = part.rests.start + RESTS_BESIDE_JUMP - 1, part.rests.stop - RESTS_BESIDE_JUMP - 1
-            last = round(first + place * max(beyond - first, 0))
-            if beyond >= first:
-                after, in_turn[part.turns] = session.after_rest(last, part)
-                there[part.turns] = in_turn[part.turns] == 0.5
-                at_rest[part.rests] = after - after.mean()
-                in_turn[part.turns] -= after.mean()
+    at_rest, (in_turn, there) = np.zeros((len(rests), 1)), np.zeros((2, len(session.problem.before_turn), 1, 1))
+    lasts = [np.arange(part.rests.start, part.rests.stop)[RESTS_BESIDE_JUMP - 1 : -RESTS_BESIDE_JUMP] for part in parts]
+    for place in np.linspace(0.0, 1.0, min(max(1, *map(len, lasts)), JUMP_PLACES)):
+        where = list[str]()
+        for part, possible in zip(parts, lasts, strict=True):
+            last = part.rests.start
+            if len(possible):
+                last = round(possible[0] + place * (len(possible) - 1))
+                after, later = session.after_rest(last, part)
+                there[part.turns, 0, 0] = later == 0.5
+                at_rest[part.rests, 0], in_turn[part.turns, 0, 0] = after - after.mean(), later - after.mean()
             name = session.observations.rest_named(last).rpartition(": ")[2]
             where.append(f"{name} ({rests.start[last]:z.1f}–{rests.stop[last]:z.1f} s)")
         for kind, block in session.kinds:
-            each, steps = np.ones(block.size), np.ones((PATH_STEPS, block.size))
-            jump = session.bias_columns(kind, at_rest[:, None] * each, in_turn[:, None, None] * steps)
-            meanwhile = session.bias_columns(kind, np.zeros((len(rests), block.size)), there[:, None, None] * steps)
+            steps = np.ones((PATH_STEPS, block.size))
+            jump = session.bias_columns(kind, at_rest * steps[0], in_turn * steps)
+            meanwhile = session.bias_columns(kind, 0.0 * at_rest * steps[0], there * steps)
             yield Candidate(
                 name="jump",
                 concerns=(kind,),
-                columns=(np.concatenate([jump[0], meanwhile[0]], axis=2), np.concatenate([jump[1], meanwhile[1]], 2)),
+                columns=(np.dstack([jump[0], meanwhile[0]]), np.dstack([jump[1], meanwhile[1]])),
                 unit=BIAS_UNITS[kind],
                 sentences=[
                     f"biases of the {SENSORS[kind]} jump by {{size}} after {rest}, as of a driver that measures them "

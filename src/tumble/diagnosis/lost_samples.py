@@ -76,8 +76,7 @@ def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list
     if not (any(session.has_turns) and session.observations.unstamped):
         return []
     turn = _loss_columns(session)
-    columns = with_scatter.equations.turn_whitening @ turn
-    drops = approximate_drops(np.eye(len(turn)), columns, *with_scatter.turn_residuals)
+    drops = approximate_drops(with_scatter.equations.turn_whitening @ turn, *with_scatter.turn_residuals)
     chosen, sentences = np.zeros(len(turn)), list[str]()
     for part, observed in zip(session.problem.parts, session.observed, strict=True):
         name = number = ""

@@ -235,17 +235,14 @@ def north_rate_columns(rows: Linearisation) -> tuple[Array, Array]:
     return rest, turn
 
 
-def approximate_drops(places: Array, columns: Array, residual: Array, covariance: Array) -> Array:
-    """Return the approximate decrease of chi-square (p,) by an error, for several places where it may be.
+def approximate_drops(columns: Array, residual: Array, covariance: Array) -> Array:
+    """Return the approximate decreases of chi-square (M,) by an error in each of M turns alone.
 
-    `places` (p, M) are its factors in M rests or turns; `columns` (M, r, q), `residual` (M, r) and its `covariance`
-    (M, r, r) are whitened. Correlations between rests or turns are neglected."""
-    score = places @ np.einsum("krq,kr->kq", columns, residual)
-    information = np.tensordot(places**2, np.swapaxes(columns, 1, 2) @ covariance @ columns, axes=1)
-    eigenvalue, vectors = np.linalg.eigh(information)
+    `columns` (M, r, q), `residual` (M, r) and its `covariance` (M, r, r) are whitened."""
+    score = np.einsum("krq,kr->kq", columns, residual)
+    eigenvalue, vectors = np.linalg.eigh(np.swapaxes(columns, 1, 2) @ covariance @ columns)
     along = (score[:, None] @ vectors)[:, 0]
-    length2 = np.tensordot(places**2, (columns**2).sum(axis=(1, 2)), axes=1)[:, None]
-    determined = eigenvalue > RELATIVE_RANK**2 * length2
+    determined = eigenvalue > RELATIVE_RANK**2 * (columns**2).sum(axis=(1, 2))[:, None]
     return np.asarray(np.where(determined, along**2 / np.where(determined, eigenvalue, 1.0), 0.0).sum(axis=1))
 
 

@@ -13,10 +13,10 @@ attitude,
 
     uᵢᵀ Q qᵢ = −sin I for all stations i,
 
-which determines Q up to its sign: the permutation of axes and signs with the smallest scatter, followed by a rotation
-from least squares. The sign of Q or T is that with which the field points down in the northern hemisphere and up in the
-southern; near the equator, or at an unknown latitude, it is that of a rotation. The attitudes of each chain are then
-turned about the vertical so that the field is north.
+which is linear in Q and sin I, and determines them up to their sign; Q is the orthogonal matrix nearest to the
+solution. The sign of Q or T is that with which the field points down in the northern hemisphere and up in the southern;
+near the equator, or at an unknown latitude, it is that of a rotation. The attitudes of each chain are then turned about
+the vertical so that the field is north.
 """
 
 from __future__ import annotations
@@ -31,7 +31,6 @@ from tumble.inference.fits import MAGNETOMETER, OUTLIER_WEIGHTS, chi_squares, le
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.magnetometer import DIP, Magnetometer
 from tumble.inference.maximum import Maximum, reintegrated_turns, take_step
-from tumble.inference.noise import NoiseModel
 from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Problem
 from tumble.rotation import UP, rotation_matrix, unit_vector
@@ -47,7 +46,6 @@ MOST_DISTURBED = 1.0 / 3.0  # share of disturbed readings that are left out
 NEAR = 1e-3  # standard deviation, relative to the field, that is assumed at least
 SCATTER_LIMIT = 2e-2  # scatter, relative to the field, above which the magnetometer is refused: the field varies
 NEAR_EQUATOR = 20.0 * DEGREE  # latitude below which the field may point up or down
-TRIED, TURNED = 3, 0.3  # permutations of axes refined by a rotation, and prior standard deviation of its angles, rad
 FIRST_STEPS = 4  # steps of the other sensors, before the magnetometer is fitted to their attitudes
 EXCHANGES = np.array([  # all permutations of axes and signs (48, 3, 3)
     np.array(signs)[:, None] * np.eye(3)[list(order)]
@@ -160,17 +158,12 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     local = np.concatenate([np.broadcast_to(unknowns, (len(point.local), len(unknowns))), point.local], axis=1)
     problem = problem.with_magnetometer(magnetometer)
     begun = linearise(problem, replace(point, attitudes=turned, local=local), about)
-    return replace(begun, noise=begun.noise.weighted(*_weights(problem, begun.noise, kept))), ""
-
-
-def _weights(problem: Problem, noise: NoiseModel, kept: BoolArray) -> tuple[Array, Array, Array]:
-    """Return square roots of the weights of all rows, where the readings (K,) that are not kept are left out."""
-    N, nodes = len(problem.observations.rests), np.ones(len(problem.before_link))
-    of_readings = np.where(kept, 1.0, OUTLIER_WEIGHTS[-1])
-    if problem.observations.links is not None:
-        nodes[problem.observations.links.magnetic] = of_readings[N:]
-    turns = np.ones(len(problem.before_turn))
-    return weighted(problem, noise, [np.ones(N), np.ones(N), turns, of_readings[:N], nodes]).weights
+    N, links, of_reading = len(problem.station), problem.observations.links, np.where(kept, 1.0, OUTLIER_WEIGHTS[-1])
+    weights = [np.ones(n) for n in (N, N, len(problem.before_turn), N, len(problem.before_link))]
+    weights[3] = of_reading[:N]
+    if links is not None:
+        weights[4][links.magnetic] = of_reading[N:]
+    return replace(begun, noise=weighted(problem, begun.noise, weights)), ""
 
 
 def by_attitudes(readings: Array, attitudes: Array, chain: IntArray) -> tuple[SensorModel, float, BoolArray] | None:
@@ -182,10 +175,9 @@ def by_attitudes(readings: Array, attitudes: Array, chain: IntArray) -> tuple[Se
     longest = chain == np.argmax(np.bincount(chain))
     if 2 * longest.sum() <= len(chain) or not size > 0.0:  # or not finite
         return None
-    m, L = (readings - mean) / size, attitudes
-    rows = np.concatenate(
-        [np.einsum("kap,kq->kapq", L, m).reshape(-1, 3, 9), -L, np.broadcast_to(-np.eye(3), L.shape)], axis=2
-    )
+    m, by_field = (readings - mean) / size, np.broadcast_to(-np.eye(3), attitudes.shape)
+    by_matrix = np.einsum("kap,kq->kapq", attitudes, m).reshape(-1, 3, 9)
+    rows = np.concatenate([by_matrix, -attitudes, by_field], axis=2)
     agreeing = _agreeing(rows[longest], np.eye(15)[:, 12:], 0.5)
     if agreeing is None:
         return None
@@ -217,15 +209,12 @@ def _agreeing(rows: Array, modulus: Array, share: float) -> tuple[Array, BoolArr
 
     kept = np.ones((1, K))
     if least < K:
-        number, order = np.arange(SUBSETS)[:, None], np.random.default_rng(K).random((SUBSETS, K)).argsort(axis=1)
-        chosen = order[:, :fewest]
+        order = np.random.default_rng(K).random((SUBSETS, K)).argsort(axis=1)
+        kept = np.where(order.argsort(axis=1) < fewest, 1.0, 0.0)
         for _ in range(CONCENTRATIONS):
-            member = np.zeros((SUBSETS, K))
-            member[number, chosen] = 1.0
-            error = fit(member)[2]
-            chosen = np.argpartition(error, least - 1, axis=1)[:, :least]
-        best = chosen[np.argmin(error[number, chosen].sum(axis=1))]
-        kept = np.where(np.isin(np.arange(K), best), 1.0, 0.0)[None]
+            error = fit(kept)[2]
+            kept = np.where(error <= np.partition(error, least - 1, axis=1)[:, least - 1 : least], 1.0, 0.0)
+        kept = kept[[np.argmin((error * kept).sum(axis=1))]]
     for widened in (WIDENED, *[1.0] * REFITS):
         value, x, error = fit(kept)
         scale = float((error * kept).sum() / max(r * kept.sum() - c + 1, 1.0))
@@ -264,34 +253,16 @@ def by_ellipsoid(readings: Array, vertical: Array) -> tuple[SensorModel, float, 
         return None
     lower = np.linalg.cholesky(np.linalg.inv(H / level))
     sphere = SensorModel(matrix=size[:, None] * lower, bias=mean + size * centre)
-    Q, sine = _orientation(unit_vector(sphere.apply(readings[kept])), vertical[kept])
-    return SensorModel(matrix=sphere.matrix @ Q.T, bias=sphere.bias), sine, kept
+    q, u = unit_vector(sphere.apply(readings[kept])), vertical[kept]
+    rows = np.column_stack([np.einsum("ki,kj->kij", u, q).reshape(-1, 9), -np.ones(len(q))])
+    left, _, right = np.linalg.svd(np.linalg.svd(rows)[2][-1, :9].reshape(3, 3))
+    Q = left @ right
+    return SensorModel(matrix=sphere.matrix @ Q.T, bias=sphere.bias), float((u * (q @ Q.T)).sum(axis=1).mean()), kept
 
 
 def block_near(matrix: Array) -> Block:
     """Return the magnetometer block with the nominal axes nearest to a sensitivity matrix (3, 3)."""
     return Block(kind="mag", axes=EXCHANGES[np.argmax((EXCHANGES * matrix).sum(axis=(1, 2)))])
-
-
-def _orientation(q: Array, vertical: Array) -> tuple[Array, float]:
-    """Return the orthogonal Q that makes the angle between the verticals (K, 3) and Q q the same for all q (K, 3), and
-    its cosine; −Q is as good."""
-    cosines = np.einsum("ki,eij,kj->ek", vertical, EXCHANGES, q)
-    best, least = (EXCHANGES[0], 0.0), np.inf
-    for i in np.argsort(cosines.std(axis=1))[: 2 * TRIED : 2]:
-        Q = EXCHANGES[i]
-        for _ in range(5):
-            turned = q @ Q.T
-            rows = np.cross(turned, vertical)  # ∂(uᵀ e^{[δ×]} Q q) = (Q q × u)·δ
-            residual = (vertical * turned).sum(axis=1)
-            spread = max(float(residual.std()), 1e-3) * np.sqrt(len(q))
-            A = np.concatenate([rows - rows.mean(axis=0), spread / TURNED * np.eye(3)])
-            b = np.append(residual - residual.mean(), np.zeros(3))
-            Q = rotation_matrix(-np.linalg.lstsq(A, b)[0]) @ Q
-        cosine = (vertical * (q @ Q.T)).sum(axis=1)
-        if cosine.std() < least:
-            best, least = (Q, float(cosine.mean())), float(cosine.std())
-    return best
 
 
 def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate | None:
