@@ -137,11 +137,10 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
         fitted = moved_fit
     means, prior_u = fitted.point.values.copy(), fitted.problem.prior_u[1:]
     others = np.delete(np.arange(len(means)), list(lags.values()))
-    log_odds, alone = dict[str, Array](), dict[str, tuple[Array, Array, float]]()
+    log_odds, alone = dict[str, list[float]](), dict[str, tuple[Array, Array, float]]()
     for kind, (grid, weight, at_grid) in grids.items():
         thermal, x = coefficients(fitted.problem, kind), 0.5 * grid / usual[kind]
-        odds = [log_odds_of_change(found[thermal][:, [*thermal, -1]], prior_u[thermal]) for found in at_grid]
-        log_odds[kind] = np.array(odds)
+        log_odds[kind] = [log_odds_of_change(found[thermal][:, [*thermal, -1]], prior_u[thermal]) for found in at_grid]
         alone[kind] = x, weight, probability_of_change(log_odds[kind], prior_density(x) * widths(grid))
     for kind, i in lags.items():
         (grid, weight, at_grid), thermal, x = grids[kind], coefficients(fitted.problem, kind), alone[kind][0]
@@ -196,7 +195,7 @@ def log_odds_of_change(solution: Array, sizes: Array) -> float:
     return 0.5 * float(values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
 
 
-def probability_of_change(log_odds: Array, prior: Array) -> float:
+def probability_of_change(log_odds: list[float], prior: Array) -> float:
     """Return P from the odds O (L,) of a change at lags of relative `prior` probabilities (L,)."""
     return float(scipy.special.expit(scipy.special.logsumexp(log_odds, b=prior / prior.sum())))
 

@@ -248,8 +248,7 @@ def by_ellipsoid(readings: Array, vertical: Array) -> tuple[SensorModel, float, 
     if np.linalg.eigvalsh(H)[0] <= 0.0:
         return None
     centre = -np.linalg.solve(H, linear)
-    level = float(centre @ H @ centre) - one
-    if level <= 0.0:
+    if (level := float(centre @ H @ centre) - one) <= 0.0:
         return None
     lower = np.linalg.cholesky(np.linalg.inv(H / level))
     sphere = SensorModel(matrix=size[:, None] * lower, bias=mean + size * centre)
