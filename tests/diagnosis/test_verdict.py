@@ -394,7 +394,8 @@ def test_a_projection_is_that_of_all_unknowns_at_once() -> None:
     np.testing.assert_allclose(block.T @ block, B.T @ B / np.outer(length, length), rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(block.T @ projection.residual, B.T @ e / length, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(projection.chi_square, e @ e, rtol=1e-6)
-    assert projection.degrees == pytest.approx(len(A) - unknowns.shape[1])
+    of_rows = 1.0 - (Q[: N * r + K * t] ** 2).sum(axis=1)  # redundancy numbers, priors not counted
+    assert projection.degrees == pytest.approx(of_rows.sum())
     u = np.sqrt(np.linalg.inv(R.T @ R).diagonal())[3 * N :]
     np.testing.assert_allclose(projection.u, u, rtol=1e-5)
     explained = projection.fit(slice(0, 2))

@@ -15,7 +15,9 @@ from tumble.inference.lag import (
     added_covariance,
     log_odds_of_change,
     maximum_with_lags,
+    prior_density,
     resolved,
+    widths,
     without,
 )
 from tumble.inference.linearisation import linearise
@@ -53,6 +55,23 @@ def test_mean_and_spread_of_a_lag_are_those_of_its_likelihood(centre: float, spr
     assert np.sqrt(weight @ (lags - mean) ** 2) == pytest.approx(spread, rel=0.03)
     assert np.sqrt(weight @ (moved[:, 1] - 2.0 * mean) ** 2) == pytest.approx(2.0 * spread, rel=0.03)
     assert len(lags) < 60
+
+
+def test_lags_of_both_kinds_have_one_rate_that_is_not_known() -> None:
+    """p(x, x′) = ∫ r² e^(−r (x + x′)) p(r) dr, of a gamma distribution of r. The lag of the other kind tells nothing if
+    that kind does not change, or if its data say nothing."""
+    x, r = np.array([0.0, 0.7, 5.0]), np.linspace(1e-4, 60.0, 60_001)
+    of_rate = stats.gamma(3.0).pdf(r) * np.gradient(r)
+    known = 4.0
+    joint_density = (r**2 * np.exp(-r * (x[:, None] + known))) @ of_rate
+    alone = (r * np.exp(-r * x[:, None])) @ of_rate
+    np.testing.assert_allclose(prior_density(x), alone, rtol=1e-4)
+    given = joint_density / float(prior_density(np.array([known]))[0])
+    np.testing.assert_allclose(prior_density(x, (np.array([known]), np.ones(1), 1.0)), given, rtol=1e-3)
+    np.testing.assert_allclose(prior_density(x, (np.array([known]), np.ones(1), 0.0)), alone, rtol=1e-4)
+    other = np.linspace(0.0, 300.0, 300_001)
+    weight = prior_density(other) * widths(other)
+    np.testing.assert_allclose(prior_density(x, (other, weight, 1.0)), alone, rtol=1e-3)
 
 
 def test_odds_of_a_change_are_those_of_the_densities_of_the_data() -> None:

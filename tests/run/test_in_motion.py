@@ -102,6 +102,16 @@ def test_a_device_laid_by_hand_on_its_faces_is_calibrated_by_rests_and_turns() -
     assert np.median(scale_u) < 4.0 * np.sqrt(np.mean(np.square(scale)))
 
 
+def test_a_well_known_correlation_time_needs_few_points() -> None:
+    """A hand that sways slowly: its correlation time of 3 s is known to a tenth, and the first points are enough."""
+    recording = record(replace(HAND, frequency=0.2), 2)
+    calibration = calibrated(recording)
+    integral = calibration.evidence.integral
+    assert integral is not None
+    assert integral.points < 100
+    assert np.abs(errors(recording, calibration)).max() < 6.0
+
+
 def test_motion_in_one_place_adds_to_rests_that_would_suffice() -> None:
     """Six pauses in two minutes on a pivot: u of accelerometer axes is a third of that of rests and turns, or less."""
     recording = record(replace(PIVOT, rests=6), 0, further=1.0)

@@ -22,7 +22,7 @@ from tumble.sensors.parameters import group_name, usual_sizes
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import itinerary, scenario_of
 from tumble.simulation.temperature_profile import TemperatureProfile
-from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array
 
 START, RISE = 22.0, 15.0
 
@@ -64,6 +64,23 @@ def test_a_device_that_does_not_warm_has_no_warm_up() -> None:
     _, said, errors = calibrated(2, 0.0, 100.0)
     assert said.verdict == "accepted"
     assert np.abs(errors).max() < 4.0
+
+
+@pytest.mark.parametrize(("positions", "seed"), [(5, 3), (5, 9), (6, 5), (6, 9)])
+def test_gyros_that_drift_over_a_few_rests_read_no_products_of_forces(positions: int, seed: int) -> None:
+    """By about 70°/h over the session. Products have as many columns as the rests leave degrees of freedom."""
+    rng = np.random.default_rng([79, seed])
+    setup = Setup.of(grade="mems", positions=positions, rest=40.0, rate_deg_s=90.0)
+    scenario = scenario_of(setup, rng, serial="drifting")
+    duration = float(itinerary(scenario, rng.spawn(1)[0]).rests[-1, 1])
+    profile = TemperatureProfile(celsius=(START,), heating=((10.0, 2.0 * duration),))
+    slope = 70.0 * DEGREE_PER_HOUR / 4.0
+    slopes = {f"gyro.bias.{axis}.t1": float(rng.choice([-1.0, 1.0])) * slope for axis in "xyz"}
+    scenario = replace(scenario, truth=dict(scenario.truth) | slopes, climate=profile.climate(1.2 * duration))
+    seen = simulate_observations(scenario, rng)
+    blind = replace(seen, usual=usual_sizes("mems"), thermometers=None, rests=replace(seen.rests, temperatures=None))
+    said = verdict(joint(blind), blind)
+    assert not any("products of forces" in each for each in (*said.reasons, *said.remarks))
 
 
 def of_six(seed: int, wanders: float) -> Observations:

@@ -15,6 +15,10 @@ A heading that the gyros hardly determine may be far from where the rows were li
 linear in its cosine and sine, so its part along north is added as an unknown of each chain of rests with such a
 heading.
 
+Degrees of freedom are the rows less the unknowns that these determine, of the parameters γ = m − tr ΛC with the
+information Λ of the priors and the covariance C (MacKay, Neural Comput. 4 (1992) 415): a device may be far better than
+usual. Columns that leave less than one degree of freedom fit whatever drifts, and explain nothing.
+
 The sum of squares of residuals along whitened directions S is Σ λ χ²₁, where λ are the eigenvalues of Sᵀ P S and P is
 the covariance of the residuals. With X = S Sᵀ, Σ λ = tr P X and Σ λ² ≤ tr P X², with equality if the directions have
 one length; otherwise the test is conservative. X consists of blocks of single rests and turns, so blocks of P suffice.
@@ -130,6 +134,7 @@ def projections(
         triangle[:, p : p + c] /= np.where(length > 0.0, length, 1.0)
         first = int(triangle[0, 0] == 0.0)  # 1 if gravity is taken as exact
         inverse = inverse_of(triangle[first:p, first:p])
+        determined = p - first - float(((rows.prior[:, first:p] @ inverse) ** 2).sum())  # γ
         by_columns, variance = inverse @ triangle[first:p, p : p + c], (inverse**2).sum(axis=1)
         if equations.wanders and len(problem.parts) == 1:
             biases = 1 - first + problem.biases
@@ -149,7 +154,7 @@ def projections(
             length=length,
             u=np.sqrt(variance[1 - first : 1 - first + m]),
             chi_square=float((triangle[p:, -1] ** 2).sum()),
-            degrees=float(kept) - 3 * len(part.link) + undetermined + others,
+            degrees=max(1.0, float(kept) - 3 * len(part.link) + undetermined + others - determined),
             has_scatter=components.wanders or bool(np.any(components.variances > 0.0)),
         )
 

@@ -26,15 +26,13 @@ def whiten(
     work: Array,
     factors: Array,
 ) -> bool: ...
-def residuals(
+def reduced_rows(rows: Array, first: IntArray, by: Array, shared: Array, residual: Array, reduced: Array) -> None: ...
+def residual_covariances(
     rows: Array,
     first: IntArray,
-    by: Array,
     own: Array,
     with_next: Array,
-    root: Array,
-    shared: Array,
-    residual: Array,
+    along: Array,
     covariance: Array,
     work: Array,
 ) -> None: ...
@@ -50,7 +48,7 @@ def state_forms(
     by: Array,
     own: Array,
     with_next: Array,
-    root: Array,
+    along: Array,
     shared: Array,
     rho: Array,
     step: Array,

@@ -204,57 +204,81 @@ cdef for_each_processor _carry_back(
                 own[i, a, b] = own[i, b, a] = total
 
 
-def residuals(
-    const double[:, :, ::1] rows, const int64_t[:] first, const double[:, :, ::1] by, const double[:, :, ::1] own,
-    const double[:, :, ::1] with_next, const double[:, ::1] root, const double[::1] shared, double[:, ::1] residual,
-    double[:, :, ::1] covariance, double[:, ::1] work,
+def reduced_rows(
+    const double[:, :, ::1] rows, const int64_t[:] first, const double[:, :, ::1] by, const double[::1] shared,
+    double[:, ::1] residual, double[:, :, ::1] reduced,
 ):
-    """Residuals of rows (K, t, ·) and their covariances 1 - A S A' - (E U)(E U)'.
+    """Residuals of rows, and E, their coefficients for the shared unknowns, directly and through the stations.
 
-    rows : [A | ...] (K, t, u + w); E has the unknowns of the stations as they follow from all others.
+    rows : [A | ...] (K, t, u + w), with the unknowns of the stations first.
     first (K,) : station of each, or the first of two.
     by (N, d, w) : how the unknowns of the stations follow all others.
-    own, with_next : S, covariances of the unknowns of a station with themselves and with those of the next.
-    root (w - 1, w - 1), shared (w,) : upper triangle U, and what the columns of E are multiplied with.
-    work (t, u + 2 w) : memory.
+    shared (w,) : what the columns of E and of the right-hand side are multiplied with.
+    residual (K, t), reduced (K, t, w - 1) : residuals and E.
     """
     with nogil:
-        _residuals(rows, first, by, own, with_next, root, shared, residual, covariance, work)
+        _reduced_rows(rows, first, by, shared, residual, reduced)
 
 
-cdef for_each_processor _residuals(
-    const double[:, :, ::1] rows, const int64_t[:] first, const double[:, :, ::1] by, const double[:, :, ::1] own,
-    const double[:, :, ::1] with_next, const double[:, ::1] root, const double[::1] shared, double[:, ::1] residual,
-    double[:, :, ::1] covariance, double[:, ::1] work,
+cdef for_each_processor _reduced_rows(
+    const double[:, :, ::1] rows, const int64_t[:] first, const double[:, :, ::1] by, const double[::1] shared,
+    double[:, ::1] residual, double[:, :, ::1] reduced,
 ) noexcept nogil:
-    """The same; `work` has A S, E U and E."""
-    cdef double part
-    t, d, w = rows.shape[1], own.shape[1], by.shape[2]
+    cdef double part, last
+    d, w = by.shape[1], by.shape[2]
     u = rows.shape[2] - w
+    for k in range(rows.shape[0]):
+        for a in range(rows.shape[1]):
+            last = rows[k, a, u + w - 1]
+            for c in range(w - 1):
+                reduced[k, a, c] = rows[k, a, u + c]
+            for b in range(u):
+                part = rows[k, a, b]
+                if part != 0.0:
+                    station = first[k] + b // d
+                    for c in range(w - 1):
+                        reduced[k, a, c] += part * by[station, b % d, c]
+                    last += part * by[station, b % d, w - 1]
+            residual[k, a] = -_dot(&reduced[k, a, 0], &shared[0], w - 1) - last * shared[w - 1]
+
+
+def residual_covariances(
+    const double[:, :, ::1] rows, const int64_t[:] first, const double[:, :, ::1] own,
+    const double[:, :, ::1] with_next, const double[:, :, ::1] along, double[:, :, ::1] covariance,
+    double[:, ::1] work,
+):
+    """Covariances 1 - A S A' - (E U)(E U)' of the residuals of rows.
+
+    rows, first : as of `reduced_rows`.
+    own, with_next : S, covariances of the unknowns of a station with themselves and with those of the next.
+    along (K, t, w - 1) : E U, with a root U of the covariance of the shared unknowns.
+    work (t, u) : memory.
+    """
+    with nogil:
+        _residual_covariances(rows, first, own, with_next, along, covariance, work)
+
+
+cdef for_each_processor _residual_covariances(
+    const double[:, :, ::1] rows, const int64_t[:] first, const double[:, :, ::1] own,
+    const double[:, :, ::1] with_next, const double[:, :, ::1] along, double[:, :, ::1] covariance,
+    double[:, ::1] work,
+) noexcept nogil:
+    """The same; `work` has A S."""
+    cdef double part
+    t, d, n, u = rows.shape[1], own.shape[1], along.shape[2], work.shape[1]
     for k in range(rows.shape[0]):
         i = first[k]
         work[:, :] = 0.0
         for a in range(t):
-            reduced = &work[a, u + w]
-            for c in range(w):
-                reduced[c] = rows[k, a, u + c]
             for b in range(u):
                 part = rows[k, a, b]
                 if part != 0.0:
-                    for c in range(w):
-                        reduced[c] += part * by[i + b // d, b % d, c]
                     for c in range(d):
                         work[a, c] += part * (own[i, b, c] if b < d else with_next[i, c, b - d])
                     for c in range(u - d):
                         work[a, d + c] += part * (with_next[i, b, c] if b < d else own[i + 1, b - d, c])
-            residual[k, a] = -_dot(reduced, &shared[0], w)
-            for b in range(w - 1):
-                part = reduced[b]
-                if part != 0.0:
-                    for c in range(b, w - 1):
-                        work[a, u + c] += part * root[b, c]
             for b in range(a + 1):
-                part = _dot(&work[a, 0], &rows[k, b, 0], u) + _dot(&work[a, u], &work[b, u], w - 1)
+                part = _dot(&work[a, 0], &rows[k, b, 0], u) + _dot(&along[k, a, 0], &along[k, b, 0], n)
                 covariance[k, a, b] = covariance[k, b, a] = (1.0 if a == b else 0.0) - part
 
 
@@ -291,52 +315,48 @@ cpdef void scatter_forms(
 
 def state_forms(
     const double[:, :, ::1] by, const double[:, :, ::1] own, const double[:, :, ::1] with_next,
-    const double[:, ::1] root, const double[::1] shared, const double[:, ::1] rho, const double[:, ::1] step,
+    const double[:, :, ::1] along, const double[::1] shared, const double[:, ::1] rho, const double[:, ::1] step,
     const double[:, ::1] lapse, double[:, :, ::1] work, double[:, ::1] forms,
 ):
     """Add up what the score of the states of a session is of, over their first values and their steps.
 
     by (N, d, w) : how the unknowns of the stations, states last, follow all others.
     own, with_next : covariances of these for given others, with themselves and with those of the next.
-    root (w - 1, w - 1), shared (w,) : as of `residuals`.
+    along (N, s, w - 1) : E U as of `residual_covariances`, E being the rows of `by` that are of the states.
+    shared (w,) : as of `reduced_rows`.
     rho, step, lapse (N, s) : correlation with the next, standard deviation of the step to it, time over τ; no step
     follows where that is infinite.
-    work (2, s, w + 1) : memory.
+    work (2, s, 2) : memory.
     forms (3, s) : sums of the squares, of 1 less their variances, and of slopes by ln τ.
     """
     with nogil:
-        _state_forms(by, own, with_next, root, shared, rho, step, lapse, work, forms)
+        _state_forms(by, own, with_next, along, shared, rho, step, lapse, work, forms)
 
 
 cdef for_each_processor _state_forms(
     const double[:, :, ::1] by, const double[:, :, ::1] own, const double[:, :, ::1] with_next,
-    const double[:, ::1] root, const double[::1] shared, const double[:, ::1] rho, const double[:, ::1] step,
+    const double[:, :, ::1] along, const double[::1] shared, const double[:, ::1] rho, const double[:, ::1] step,
     const double[:, ::1] lapse, double[:, :, ::1] work, double[:, ::1] forms,
 ) noexcept nogil:
-    """The same; `work` has E U, value and variance of the states of a station, and of the one before it."""
+    """The same; `work` has value and variance of the states of a station, and of the one before it."""
     cdef double part, value, variance, square, unknown, known, both, change, correlation, of_step
     d, w, s = by.shape[1], by.shape[2], rho.shape[1]
     for i in range(by.shape[0]):
         here, before = i % 2, (i + 1) % 2
-        work[here, :, :] = 0.0
         for k in range(s):
             j = d - s + k
-            for b in range(w - 1):
-                part = by[i, j, b]
-                for c in range(b, w - 1):
-                    work[here, k, c] += part * root[b, c]
             value = _dot(&by[i, j, 0], &shared[0], w)
-            variance = own[i, j, j] + _dot(&work[here, k, 0], &work[here, k, 0], w - 1)
-            work[here, k, w - 1], work[here, k, w] = value, variance
+            variance = own[i, j, j] + _dot(&along[i, k, 0], &along[i, k, 0], w - 1)
+            work[here, k, 0], work[here, k, 1] = value, variance
             square, unknown = value * value, variance
             if i > 0:
                 correlation, of_step = rho[i - 1, k], step[i - 1, k] * step[i - 1, k]
-                both = with_next[i - 1, j, j] + _dot(&work[before, k, 0], &work[here, k, 0], w - 1)
-                known, change = work[before, k, w], value - correlation * work[before, k, w - 1]
+                both = with_next[i - 1, j, j] + _dot(&along[i - 1, k, 0], &along[i, k, 0], w - 1)
+                known, change = work[before, k, 1], value - correlation * work[before, k, 0]
                 square = change * change / of_step
                 unknown = (variance - correlation * (2.0 * both - correlation * known)) / of_step
                 if lapse[i - 1, k] < INFINITY:
-                    part = change * work[before, k, w - 1] + both - correlation * known
+                    part = change * work[before, k, 0] + both - correlation * known
                     part += correlation * (1.0 - square - unknown)
                     forms[2, k] += lapse[i - 1, k] * correlation * part / of_step
             forms[0, k] += square

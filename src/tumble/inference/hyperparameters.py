@@ -63,6 +63,7 @@ from tumble.inference.normal_equations import (
     joint_rows,
     session_links,
     station_rows,
+    times_root,
 )
 from tumble.inference.problem import Problem
 from tumble.inference.variables import at_two_temperatures, ramps_up_and_down
@@ -230,12 +231,13 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     # initial states of all sessions and their steps
     states = np.zeros((3, max(s, n)))
     if s:
-        work = np.empty((2, s, solution.shared.shape[1] + 1))
+        work = np.empty((2, s, 2))
         arrays = equations.sensitivity, *solution.conditional_covariances
         for part, root, shared in zip(problem.parts, solution.roots, solution.shared, strict=True):
             sensitivity, here, with_next = (array[part.stations] for array in arrays)
             process = noise.state_rho[part.stations], noise.state_step[part.stations], noise.state_lapse[part.stations]
-            state_forms(sensitivity, here, with_next, root, shared, *process, work, states)
+            along = times_root(sensitivity[:, -s:, :-1], root)
+            state_forms(sensitivity, here, with_next, along, shared, *process, work, states)
     times = np.stack([states[2], np.zeros(states.shape[1])])
 
     def prior_forms(off: Array, variance: Array, size: Array) -> Array:

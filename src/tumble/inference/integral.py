@@ -100,8 +100,10 @@ TEMPERED = 0.35  # largest effective share of points to which weights are temper
 SHRINKAGE, ADDED_VARIANCE, INFLATION = 0.5, 0.05, 1.2
 GRID = 241  # points of densities along elements of φ
 KNOTS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0])  # standard deviations of p where ℓ is computed
-# prior standard deviations from its centre of a correlation time where ℓ is computed
+# Standard deviations of a correlation time from its centre where ℓ is computed: those of the prior or, if the curvature
+# at the maximum gives less than INFORMED of one, TIME_STRETCH times as large as it gives and about the maximum.
 TIMES = np.array([-3.0, -2.0, -1.4, -0.9, -0.4, 0.0, 0.4, 0.9, 1.4, 2.0, 3.0])
+INFORMED, TIME_STRETCH = 0.2, 1.5
 # Factor on the correlations of the average information for each of two elements: away from the maximum, where variances
 # vanish, they are smaller. For p of λ = exp(max(p, 0)) it is the probability of p > 0: below, φ does not matter.
 CORRELATED = 0.8
@@ -287,7 +289,9 @@ class Proposal:
         for i, time in times.items():
             substitution[i, time] = (spread(phi[time] - 0.1) - spread(phi[time] + 0.1)) / 0.2
         free = [i for i in (*outer, *inner) if not (hyperparameters[i].bounded and phi[i] <= 0.0)]
-        B = (substitution.T @ B @ substitution)[np.ix_(free, free)]
+        B = substitution.T @ B @ substitution
+        densities |= _time_densities(fitted, spread, np.maximum(B.diagonal(), 1e-12) ** -0.5)
+        B = B[np.ix_(free, free)]
         size = np.sqrt(np.maximum(B.diagonal(), 1e-12))
         value, vectors = np.linalg.eigh(B / np.outer(size, size))
         covariance = (vectors / np.maximum(value, 0.1)) @ vectors.T
@@ -295,7 +299,6 @@ class Proposal:
         correlations, stretch = np.eye(len(hyperparameters)), np.ones(len(hyperparameters))
         correlations[np.ix_(free, free)] = covariance / np.outer(marginal, marginal)
         stretch[free] = np.sqrt(marginal)
-        densities |= _time_densities(fitted, spread)
         for i in (element for element in outer if element not in densities):
             h = hyperparameters[i]
             density = partial(_variance_density, h, phi[i], tuple(forms[:, i]), fitted.curvature[i, i], stretch[i])
@@ -381,16 +384,20 @@ def _variance_density(
     return Density.of(grid, h.log_prior(grid)[0] + likelihood)
 
 
-def _time_densities(fitted: Maximum, spread: Callable[[Array], Array]) -> dict[int, Density]:
-    """Return densities along correlation times, mixed with the prior, at constant standard deviation in the session."""
+def _time_densities(fitted: Maximum, spread: Callable[[Array], Array], deviations: Array) -> dict[int, Density]:
+    """Return densities along correlation times, mixed with the prior, at constant standard deviation in the session;
+    `deviations` (D,) are standard deviations with other elements of φ held."""
     hyperparameters, phi, out = fitted.hyperparameters, fitted.phi, dict[int, Density]()
     times = _times_of(hyperparameters)
     if not times:
         return out
-    points, knots = np.tile(phi, (len(times), 1 + len(TIMES), 1)), list[Array]()
+    points, knots, scales = np.tile(phi, (len(times), 1 + len(TIMES), 1)), list[Array](), list[float]()
     for rows, (size, time) in zip(points, times.items(), strict=True):
-        h = hyperparameters[time]
-        knots.append(np.sort(np.append(h.centre + TIMES * h.within, phi[time])))
+        h, centre = hyperparameters[time], hyperparameters[time].centre
+        scales.append(h.within)
+        if deviations[time] < INFORMED * h.within:
+            centre, scales[-1] = phi[time], TIME_STRETCH * deviations[time]
+        knots.append(np.sort(np.append(centre + TIMES * scales[-1], phi[time])))
         rows[:, time] = knots[-1]
         rows[:, size] += spread(phi[time]) - spread(knots[-1])
     flat = points.reshape(-1, len(phi))
@@ -401,10 +408,9 @@ def _time_densities(fitted: Maximum, spread: Callable[[Array], Array]) -> dict[i
         ]
     )
     likelihood = (log_posterior - hyperparameters.log_prior(flat)[0].sum(axis=-1)).reshape(points.shape[:2])
-    for time, x, y in zip(times.values(), knots, likelihood, strict=True):
-        h = hyperparameters[time]
-        grid = np.linspace(x[0] - h.within, x[-1] + h.within, GRID)
-        log_prior = h.log_prior(grid)[0]
+    for time, x, y, scale in zip(times.values(), knots, likelihood, scales, strict=True):
+        grid = np.linspace(x[0] - scale, x[-1] + scale, GRID)
+        log_prior = hyperparameters[time].log_prior(grid)[0]
         prior, density = np.exp(log_prior), np.exp(np.interp(grid, x, y - y.max()) + log_prior)
         mixture = (1.0 - PRIOR_SHARE) * density / density.sum() + PRIOR_SHARE * prior / prior.sum()
         out[time] = Density.of(grid, np.log(mixture + 1e-300))
@@ -684,7 +690,8 @@ def _draw(fitted: Maximum, proposal: Proposal, normal: Array, sequence: int) -> 
     for k, point_sizes in enumerate(sizes if len(members) else ()):
         folded = Folded.of(at.information[k], at.right[k], point_sizes)
         log_weight[k] += folded.log_likelihood
-        w = scipy.special.softmax(log_weight[k])
+        w = np.exp(log_weight[k] - log_weight[k].max())
+        w /= w.sum()
         value[k], within[k] = w @ folded.values, folded.covariance(w)
         deviation = folded.values - value[k]
         between[k] = (deviation.T * w) @ deviation

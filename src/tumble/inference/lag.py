@@ -8,12 +8,13 @@ each lag.
 
 A lag is not negative. A die follows a thermometer on it within a second, one in the package or on the board within
 seconds to some tens of seconds, and an instrument follows one in its housing within minutes. No file states which it
-is, so the prior falls off as a power,
+is, but both kinds of sensors are in one housing. Each lag is therefore exponential with a rate r that both share, which
+has a gamma distribution of shape 3 and mean 3/2s. With x = λ/2s, and x′ of the other kind, the prior is
 
-    p(λ) = (3/2s)(1 + λ/2s)⁻⁴,    λ ≥ 0                                                                            (1)
+    p(x) = 3 (1 + x)⁻⁴,    p(x | x′) = 4 (1 + x′)⁴ (1 + x + x′)⁻⁵,    λ ≥ 0                                          (1)
 
-with mean s, a tenth of it beyond 2.3 s and a hundredth beyond 7.3 s: lags of minutes are accepted if the data support
-them.
+with mean λ = s, a tenth of it beyond 2.3 s and a hundredth beyond 7.3 s: lags of minutes are accepted if the data of a
+kind support them, or those of the other. Where the data of the other kind say nothing, p(x | x′) averages to p(x).
 
 A lag matters only if something changes with temperature. If nothing does, every lag fits, and large ones best: the
 sensors have then hardly warmed up, and parameters at the temperature of the thermometer are extrapolated far from the
@@ -86,7 +87,7 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
 
     def penalty(kind: str, lag: Array) -> Array:
         """Return −2 ln of the prior of a lag, Eq. (1)."""
-        return np.asarray(8.0 * np.log1p(0.5 * lag / usual[kind]))
+        return np.asarray(-2.0 * np.log(prior_density(0.5 * lag / usual[kind])))
 
     def solutions(kind: str) -> Callable[[Array], tuple[Array, Array]]:
         """Return a function of lags (L,) that returns −2 ln of their posterior, and the solutions (L, m, m + 1) there:
@@ -136,11 +137,18 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
         fitted = moved_fit
     means, prior_u = fitted.point.values.copy(), fitted.problem.prior_u[1:]
     others = np.delete(np.arange(len(means)), list(lags.values()))
+    log_odds, alone = dict[str, Array](), dict[str, tuple[Array, Array, float]]()
+    for kind, (grid, weight, at_grid) in grids.items():
+        thermal, x = coefficients(fitted.problem, kind), 0.5 * grid / usual[kind]
+        odds = [log_odds_of_change(found[thermal][:, [*thermal, -1]], prior_u[thermal]) for found in at_grid]
+        log_odds[kind] = np.array(odds)
+        alone[kind] = x, weight, probability_of_change(log_odds[kind], prior_density(x) * widths(grid))
     for kind, i in lags.items():
-        (grid, weight, at_grid), thermal = grids[kind], coefficients(fitted.problem, kind)
-        prior = np.exp(-0.5 * penalty(kind, grid)) * widths(grid)
-        log_odds = [log_odds_of_change(found[thermal][:, [*thermal, -1]], prior_u[thermal]) for found in at_grid]
-        change = float(scipy.special.expit(scipy.special.logsumexp(log_odds, b=prior / prior.sum())))  # P
+        (grid, weight, at_grid), thermal, x = grids[kind], coefficients(fitted.problem, kind), alone[kind][0]
+        prior = prior_density(x, *(found for other, found in alone.items() if other != kind))
+        weight = weight * prior / prior_density(x)
+        weight /= weight.sum()
+        change = probability_of_change(log_odds[kind], prior * widths(grid))
         means[i] = change * float(weight @ grid)
         spread[i, i] = weight @ (grid - means[i]) ** 2
         (at_mean,) = at_lags[kind](means[[i]])[1]
@@ -186,6 +194,22 @@ def log_odds_of_change(solution: Array, sizes: Array) -> float:
     `solution` (k, k + 1) are their covariance and values; both hypotheses have equal prior probability."""
     covariance, values = solution[:, :-1] / np.outer(sizes, sizes), solution[:, -1] / sizes
     return 0.5 * float(values @ np.linalg.solve(covariance, values) + np.linalg.slogdet(covariance)[1])
+
+
+def probability_of_change(log_odds: Array, prior: Array) -> float:
+    """Return P from the odds O (L,) of a change at lags of relative `prior` probabilities (L,)."""
+    return float(scipy.special.expit(scipy.special.logsumexp(log_odds, b=prior / prior.sum())))
+
+
+def prior_density(x: Array, *others: tuple[Array, Array, float]) -> Array:
+    """Return the prior density of lags x (L,), in units of 2s, given the posteriors of those of other kinds, Eq. (1).
+
+    Each posterior is lags (M,) with their probabilities (M,) and the probability P that the kind changes at all."""
+    density = np.asarray(3.0 * (1.0 + x) ** -4)
+    for other, weight, change in others:
+        given = 4.0 * (1.0 + other) ** 4 * (1.0 + other + x[:, None]) ** -5
+        density = (1.0 - change) * density + change * (given @ weight)
+    return density
 
 
 def widths(lags: Array) -> Array:

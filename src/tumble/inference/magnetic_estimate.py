@@ -1,15 +1,22 @@
 """Initial values of a magnetometer in the joint estimate of a session, and its result.
 
-The readings m at the stations lie on an ellipsoid about the hard iron b, (m − b)ᵀ H (m − b) = 1, whose coefficients are
-the last right singular vector of the matrix of its monomials. With H⁻¹ = A Aᵀ the field is along Q q, q = A⁻¹ (m − b),
-with an orthogonal Q. At one place the angle between the vertical u and the field is the same in every attitude,
+Steel and motors disturb some of the readings m, so that the first fit is robust (`_agreeing`). Gyros carry the
+attitudes L along a chain of stations, known up to a common heading. Then T = S⁻¹, c = T b and the field h are linear,
+
+    L_i (T m_i − c) − h = 0
+
+five stations determine them up to a factor, and most of the readings agree with the true ones. Without such a chain,
+or if a turn spoils it, the readings lie on an ellipsoid about the hard iron b, (m − b)ᵀ H (m − b) = 1, whose
+coefficients are the last right singular vector of the matrix of its monomials. With H⁻¹ = A Aᵀ the field is along Q q,
+q = A⁻¹ (m − b), with an orthogonal Q. At one place the angle between the vertical u and the field is the same in every
+attitude,
 
     uᵢᵀ Q qᵢ = −sin I for all stations i,
 
 which determines Q up to its sign: the permutation of axes and signs with the smallest scatter, followed by a rotation
-from least squares. The sign is that with which the field points down in the northern hemisphere and up in the southern;
-near the equator, or at an unknown latitude, it is that of a rotation. The attitudes of each chain are then turned about
-the vertical so that the field is north.
+from least squares. The sign of Q or T is that with which the field points down in the northern hemisphere and up in the
+southern; near the equator, or at an unknown latitude, it is that of a rotation. The attitudes of each chain are then
+turned about the vertical so that the field is north.
 """
 
 from __future__ import annotations
@@ -24,24 +31,24 @@ from tumble.inference.fits import MAGNETOMETER, OUTLIER_WEIGHTS, chi_squares, le
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.magnetometer import DIP, Magnetometer
 from tumble.inference.maximum import Maximum, reintegrated_turns, take_step
-from tumble.inference.noise import NoiseModel, VarianceComponents
+from tumble.inference.noise import NoiseModel
 from tumble.inference.normal_equations import solve
 from tumble.inference.problem import Problem
 from tumble.rotation import UP, rotation_matrix, unit_vector
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
-FEWEST = 9  # stations that determine an ellipsoid
-FLAT = 1e-3  # second smallest singular value over the largest, below which the ellipsoid is not unique
-SPARE = 3  # readings beyond the fewest that are always kept
-WITHOUT = 0.2  # a reading is an outlier if the sum of squares falls to this part without it
-NEAR = 1e-3  # root mean square distance from the ellipsoid, relative to the field, below which there is no outlier
+FLAT = 1e-3  # second smallest singular value over the largest, below which a fit is not unique
+REDUNDANCY = 1.5  # equations of the fewest readings that must agree, relative to unknowns
+WIDENED = 9.0  # variance of Gaussian errors over that of the half which agrees best, after its fit
+SUBSETS, CONCENTRATIONS, REFITS = 400, 4, 12  # of a robust fit; of 12 rests with 4 near steel, 28 subsets have none
+AGREEING = 3.0  # standard deviations within which readings agree
+MOST_DISTURBED = 1.0 / 3.0  # share of disturbed readings that are left out
+NEAR = 1e-3  # standard deviation, relative to the field, that is assumed at least
 SCATTER_LIMIT = 2e-2  # scatter, relative to the field, above which the magnetometer is refused: the field varies
 NEAR_EQUATOR = 20.0 * DEGREE  # latitude below which the field may point up or down
 TRIED, TURNED = 3, 0.3  # permutations of axes refined by a rotation, and prior standard deviation of its angles, rad
-# Scatter of the readings, relative to the field, in the first steps, so that the magnetometer does not affect the other
-# sensors before it is fitted to them; and number of these steps.
-LOOSE, FIRST_STEPS = 0.01, 4
+FIRST_STEPS = 4  # steps of the other sensors, before the magnetometer is fitted to their attitudes
 EXCHANGES = np.array([  # all permutations of axes and signs (48, 3, 3)
     np.array(signs)[:, None] * np.eye(3)[list(order)]
     for order in permutations(range(3))
@@ -118,85 +125,136 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     """Add the magnetometer of a session to its first linearisation.
 
     Returns the linearisation and "", or the same linearisation and the reason why its readings cannot be used."""
-    problem, point = start.problem, start.point
+    problem, about = start.problem, start.about
     readings = Readings.of(problem)
     if readings is None:
         return start, ""
-    ellipsoid = ellipsoid_through(readings.values)
-    if ellipsoid is None:
+    begun = start
+    for _ in range(FIRST_STEPS):
+        point, _ = take_step(solve(begun))
+        about = reintegrated_turns(problem, point, about)
+        begun = linearise(problem, point, about)
+    point, station = begun.point, readings.station
+    attitudes = point.attitudes[station]
+    found = by_attitudes(readings.values, attitudes, problem.chain[station])
+    if found is None or np.mean(~found[2]) > MOST_DISTURBED:  # perhaps by a spoilt turn, which the joint fit finds
+        found = by_ellipsoid(readings.values, attitudes[:, 1]) or found
+    if found is None:
         return start, (
             f"its {len(readings.values)} readings lie on no one ellipsoid: the attitudes are too few or too much "
             "alike, or a channel does not follow the field; record away from steel in more attitudes"
         )
-    (sphere, kept), station = ellipsoid, readings.station
-    site, attitudes, used = problem.observations.site, point.attitudes[station[kept]], readings.values[kept]
-    field = site.field or float(np.cbrt(np.linalg.det(sphere.matrix)))
-    Q, sine = _orientation(unit_vector(sphere.apply(used)), attitudes[:, 1])
-    S = sphere.matrix @ Q.T / field
-    latitude = site.latitude or 0.0
+    unit, sine, kept = found
+    site = problem.observations.site
+    field, latitude = site.field or float(np.cbrt(abs(np.linalg.det(unit.matrix)))), site.latitude or 0.0
+    S = unit.matrix / field
     if sine * latitude > 0.0 if abs(latitude) > NEAR_EQUATOR else np.linalg.det(S) < 0.0:
         S, sine = -S, -sine
-    magnetometer = Magnetometer(
-        block=block_near(S),
-        field=field,
-        dip=float(-np.arcsin(sine)),
-    )
-    model = SensorModel(matrix=S, bias=sphere.bias)
-    level = (attitudes @ unit_vector(model.apply(used))[:, :, None])[:, :, 0]
+    magnetometer = Magnetometer(block=block_near(S), field=field, dip=float(-np.arcsin(sine)))
+    model = SensorModel(matrix=S, bias=unit.bias)
+    level = (attitudes[kept] @ unit_vector(model.apply(readings.values[kept]))[:, :, None])[:, :, 0]
     chain, towards = problem.chain, level[:, 0] + 1j * level[:, 2]
     north, east = (np.bincount(chain[station[kept]], part, chain[-1] + 1) for part in (towards.real, towards.imag))
     turned = rotation_matrix(np.arctan2(east, north)[chain][:, None] * UP) @ point.attitudes
     unknowns = np.concatenate([magnetometer.block.parameters(model), np.zeros(len(magnetometer.u) - DIP)])
     local = np.concatenate([np.broadcast_to(unknowns, (len(point.local), len(unknowns))), point.local], axis=1)
-    problem, point, about = (
-        problem.with_magnetometer(magnetometer),
-        replace(point, attitudes=turned, local=local),
-        start.about,
-    )
-    loose, begun = VarianceComponents(mag=LOOSE * field), linearise(problem, point, about)
-    weights = _weights(problem, begun.noise, np.where(kept, 1.0, OUTLIER_WEIGHTS[-1]))
-    for _ in range(FIRST_STEPS):
-        point, _ = take_step(solve(replace(begun, noise=begun.noise.weighted(*weights)), loose))
-        about = reintegrated_turns(problem, point, about)
-        begun = linearise(problem, point, about)
-    return replace(begun, noise=begun.noise.weighted(*weights)), ""
+    problem = problem.with_magnetometer(magnetometer)
+    begun = linearise(problem, replace(point, attitudes=turned, local=local), about)
+    return replace(begun, noise=begun.noise.weighted(*_weights(problem, begun.noise, kept))), ""
 
 
-def _weights(problem: Problem, noise: NoiseModel, of_readings: Array) -> tuple[Array, Array, Array]:
-    """Return square roots of the weights of all rows for weights (K,) of the readings."""
+def _weights(problem: Problem, noise: NoiseModel, kept: BoolArray) -> tuple[Array, Array, Array]:
+    """Return square roots of the weights of all rows, where the readings (K,) that are not kept are left out."""
     N, nodes = len(problem.observations.rests), np.ones(len(problem.before_link))
+    of_readings = np.where(kept, 1.0, OUTLIER_WEIGHTS[-1])
     if problem.observations.links is not None:
         nodes[problem.observations.links.magnetic] = of_readings[N:]
     turns = np.ones(len(problem.before_turn))
     return weighted(problem, noise, [np.ones(N), np.ones(N), turns, of_readings[:N], nodes]).weights
 
 
-def ellipsoid_through(readings: Array) -> tuple[SensorModel, BoolArray] | None:
-    """Fit an algebraic ellipsoid to readings (K, 3) of unit vectors in an arbitrary frame.
+def by_attitudes(readings: Array, attitudes: Array, chain: IntArray) -> tuple[SensorModel, float, BoolArray] | None:
+    """Fit a magnetometer to readings (K, 3) in attitudes (K, 3, 3) that gyros carry along a chain (K,).
 
-    Returns the sensors with these readings, and True for the readings (K,) that are no outliers; None without a unique
-    ellipsoid."""
-    if len(readings) < FEWEST or not np.isfinite(readings).all():
+    Returns the sensors in a field of modulus 1, the vertical part of that field, and True for the readings (K,) that
+    agree; None without a unique fit, or if most readings are in other chains."""
+    mean, size = readings.mean(axis=0), readings.std()
+    longest = chain == np.argmax(np.bincount(chain))
+    if 2 * longest.sum() <= len(chain) or not size > 0.0:  # or not finite
         return None
+    m, L = (readings - mean) / size, attitudes
+    rows = np.concatenate(
+        [np.einsum("kap,kq->kapq", L, m).reshape(-1, 3, 9), -L, np.broadcast_to(-np.eye(3), L.shape)], axis=2
+    )
+    agreeing = _agreeing(rows[longest], np.eye(15)[:, 12:], 0.5)
+    if agreeing is None:
+        return None
+    x, of_chain, limit = agreeing
+    T, h = x[:9].reshape(3, 3), np.linalg.norm(x[12:])
+    kept = (np.linalg.norm(m @ T.T - x[9:12], axis=1) / h - 1.0) ** 2 <= limit
+    kept[longest] = of_chain
+    unit = np.linalg.inv(T)
+    return SensorModel(matrix=size * h * unit, bias=mean + size * unit @ x[9:12]), float(x[13] / h), kept
+
+
+def _agreeing(rows: Array, modulus: Array, share: float) -> tuple[Array, BoolArray, float] | None:
+    """Return the unit vector x that most readings agree with, rows (K, r, c) times x being zero but for errors.
+
+    Errors are relative to |x @ modulus|. x is first that with the smallest sum of squares over more than a `share` of
+    the readings (least trimmed squares), begun from random subsets that determine it; readings within AGREEING
+    standard deviations are then added and others removed until they stay the same. Returns also True for these (K,),
+    and the square of the largest error; None unless x is unique."""
+    K, r, c = rows.shape
+    fewest = -(-(c - 1) // r)
+    least = max(int(share * K) + 1, int(np.ceil(REDUNDANCY * (c - 1) / r)))
+    squares = (np.swapaxes(rows, 1, 2) @ rows).reshape(K, -1)
+
+    def fit(member: Array) -> tuple[Array, Array, Array]:
+        value, vector = np.linalg.eigh((member @ squares).reshape(-1, c, c))
+        x = vector[:, :, 0]
+        error = ((rows @ x.T) ** 2).sum(axis=1).T
+        return value, x, error / np.maximum(((x @ modulus) ** 2).sum(axis=1), 1e-300)[:, None]
+
+    kept = np.ones((1, K))
+    if least < K:
+        number, order = np.arange(SUBSETS)[:, None], np.random.default_rng(K).random((SUBSETS, K)).argsort(axis=1)
+        chosen = order[:, :fewest]
+        for _ in range(CONCENTRATIONS):
+            member = np.zeros((SUBSETS, K))
+            member[number, chosen] = 1.0
+            error = fit(member)[2]
+            chosen = np.argpartition(error, least - 1, axis=1)[:, :least]
+        best = chosen[np.argmin(error[number, chosen].sum(axis=1))]
+        kept = np.where(np.isin(np.arange(K), best), 1.0, 0.0)[None]
+    for widened in (WIDENED, *[1.0] * REFITS):
+        value, x, error = fit(kept)
+        scale = float((error * kept).sum() / max(r * kept.sum() - c + 1, 1.0))
+        limit = r * AGREEING**2 * max(widened * scale, NEAR**2)
+        before, kept = kept, np.where(error <= limit, 1.0, 0.0)
+        if np.array_equal(kept, before) or kept.sum() < least:
+            break
+    if value[0, 1] < FLAT**2 * value[0, -1]:
+        return None
+    return x[0], before[0] > 0.0, limit
+
+
+def by_ellipsoid(readings: Array, vertical: Array) -> tuple[SensorModel, float, BoolArray] | None:
+    """Fit an algebraic ellipsoid to readings (K, 3), directed by the vertical (K, 3) in the body at each.
+
+    Returns what `by_attitudes` does; None without a unique ellipsoid."""
     mean, size = readings.mean(axis=0), readings.std(axis=0)
-    if not np.all(size > 0.0):
+    if not np.all(size > 0.0):  # not finite, or constant
         return None
     x, y, z = ((readings - mean) / size).T
     rows = np.stack(
         [x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z, 2 * x, 2 * y, 2 * z, np.ones_like(x)], axis=1
     )
-    kept = np.ones(len(rows), dtype=bool)
-    while kept.sum() > FEWEST + SPARE:
-        used = np.flatnonzero(kept)
-        normal, row = rows[used].T @ rows[used], rows[used]
-        without_one = np.linalg.eigvalsh(normal - row[:, :, None] * row[:, None, :])[:, 0]
-        if without_one.min() > WITHOUT * max(np.linalg.eigvalsh(normal)[0], NEAR**2 * len(used)):
-            break
-        kept[used[np.argmin(without_one)]] = False
-    _, length, axes = np.linalg.svd(rows[kept], full_matrices=True)
-    if length[8] < FLAT * length[0]:
+    # 2 (a + b + c) is twice the level of the quadric about its centre, by which the radius is off, for a sphere
+    agreeing = _agreeing(rows[:, None], np.where(np.arange(10) < 3, 2.0, 0.0)[:, None], 0.8)
+    if agreeing is None:
         return None
-    a, b, c, d, e, f, *linear, one = axes[-1] * np.sign(axes[-1][:3].sum())
+    x, kept, _ = agreeing
+    a, b, c, d, e, f, *linear, one = x * np.sign(x[:3].sum())
     H = np.array([[a, d, e], [d, b, f], [e, f, c]])
     if np.linalg.eigvalsh(H)[0] <= 0.0:
         return None
@@ -205,7 +263,9 @@ def ellipsoid_through(readings: Array) -> tuple[SensorModel, BoolArray] | None:
     if level <= 0.0:
         return None
     lower = np.linalg.cholesky(np.linalg.inv(H / level))
-    return SensorModel(matrix=size[:, None] * lower, bias=mean + size * centre), kept
+    sphere = SensorModel(matrix=size[:, None] * lower, bias=mean + size * centre)
+    Q, sine = _orientation(unit_vector(sphere.apply(readings[kept])), vertical[kept])
+    return SensorModel(matrix=sphere.matrix @ Q.T, bias=sphere.bias), sine, kept
 
 
 def block_near(matrix: Array) -> Block:
@@ -267,6 +327,14 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
             f"the readings scatter by {fit.scatter:.3g}, more than {100 * SCATTER_LIMIT:g} % of the field: the field "
             "is not the same in all of them; record away from steel"
         )
+    outliers, station = np.concatenate([omitted, omitted_nodes[magnetic]]), readings.station
+    agreeing = by_attitudes(readings.values, fitted.point.attitudes[station], problem.chain[station])
+    disturbed = max(outliers.sum(), 0 if agreeing is None else np.sum(~agreeing[2]))
+    if disturbed > MOST_DISTURBED * len(outliers):
+        refused = (
+            f"the field is not the same in {disturbed} or more of its {len(outliers)} readings, too many to tell which "
+            "are disturbed; record away from steel, with motors off"
+        )
     return MagnetometerEstimate(
         names=magnetometer.block.names,
         values=unknowns[:DIP],
@@ -276,7 +344,7 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
         magnetometer=magnetometer,
         dip=magnetometer.dip + float(unknowns[DIP]),
         fit=fit,
-        left_out=np.concatenate([omitted, omitted_nodes[magnetic]]),
+        left_out=outliers,
         sigmas=np.concatenate([mag, at_nodes[magnetic]]),
         off=np.linalg.norm(model.apply(readings.values), axis=1) - magnetometer.field,
         time=time,

@@ -36,6 +36,7 @@ from tumble.inference.fits import (
     OUTLIER_PROBABILITY,
     OUTLIER_WEIGHTS,
     chi_square_falls,
+    left_out,
     sigmas,
     student_weights,
     weighted,
@@ -77,6 +78,7 @@ TO_AND_FRO = 6
 PLACE_UNKNOWN = 1e-3  # relative u of gravity of an unknown place, three times that of normal gravity anywhere
 BEYOND = 3.0  # ratio of scatter or a size to the usual from which `maximise_from_starts` tries other starts
 NOT_ABSORBING = "mag", "displacement", "displacement_time"  # elements of φ that do not absorb errors of sensors
+ROUNDS = 3  # of readmitting outliers that others, now left out, have made
 USELESS = {"turn": 0.3, "velocity": 3.0}  # rad and m/s: turns of such scatter have no information
 WIDE = 3.0  # prior standard deviations of p from which sizes of groups start
 ANEW = 3.0  # s: correlation time of biases that change at every rest
@@ -190,7 +192,10 @@ def maximise(
         about, noise = reintegrated_turns(problem, point, linearisation.about), linearisation.noise
         weights = before = noise.weights
         if robust:
-            weights = weighted(problem, noise, student_weights(chi_square_falls(solution))).weights
+            of_rows = student_weights(chi_square_falls(solution))
+            for w, out, least in zip(of_rows, left_out(problem, start.noise), OUTLIER_WEIGHTS, strict=True):
+                w[out & (w < LEAST_WEIGHT)] = least  # the scale of a Student-t distribution follows a fifth of the rows
+            weights = weighted(problem, noise, of_rows).weights
         weights_settled = all(np.all(np.abs(a**2 - b**2) < WEIGHT_CHANGE) for a, b in zip(weights, before, strict=True))
         if len(increments) >= TO_AND_FRO:  # so that two rows do not get the low weight alternately
             rest, turn, link = (np.sqrt(0.5 * (a**2 + b**2)) for a, b in zip(weights, before, strict=True))
@@ -308,18 +313,32 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
 
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
     """Return the maximum without rests and turns that are outliers; `fitted` itself if there are none."""
-    distances = np.concatenate(sigmas(fitted.solution)[: 3 if fitted.problem.magnetometer is None else 5])
-    whole = fitted.linearisation.noise.whole
+    noise, groups = fitted.linearisation.noise, 3 if fitted.problem.magnetometer is None else 5
+    before, outliers = left_out(fitted.problem, noise), _outliers(fitted.solution)
+    used = [distance[~out] for distance, out in zip(sigmas(fitted.solution), before, strict=True)]
+    distances = np.concatenate(used[:groups])
     p_value = 2.0 * scipy.special.ndtr(-distances.max(initial=0.0)) * len(distances)
-    if whole and (not len(distances) or p_value > OUTLIER_PROBABILITY):
+    confirmed = noise.whole or all(map(np.array_equal, outliers, before))
+    if confirmed and (not len(distances) or p_value > OUTLIER_PROBABILITY):
         return fitted
     robust = maximise(fitted.linearisation, fitted.phi, iterations, robust=True)
-    outliers = [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(robust.solution))]
-    if whole and not any(group.any() for group in outliers):
+    outliers = _outliers(robust.solution)
+    if confirmed and all(map(np.array_equal, outliers, before)):
         return fitted
-    weights = [np.where(group, weight, 1.0) for group, weight in zip(outliers, OUTLIER_WEIGHTS, strict=True)]
-    noise = weighted(fitted.usual_problem, robust.linearisation.noise, weights)
-    return maximise(replace(robust.linearisation, noise=noise), robust.phi, iterations)
+    for _ in range(ROUNDS):
+        weights = [np.where(group, weight, 1.0) for group, weight in zip(outliers, OUTLIER_WEIGHTS, strict=True)]
+        noise = weighted(fitted.usual_problem, robust.linearisation.noise, weights)
+        robust = maximise(replace(robust.linearisation, noise=noise), robust.phi, iterations)
+        still = [a & b for a, b in zip(outliers, _outliers(robust.solution), strict=True)]
+        if all(map(np.array_equal, outliers, still)):
+            break
+        outliers = still
+    return robust
+
+
+def _outliers(solution: Solution) -> list[BoolArray]:
+    """Return True, by group of `fits.Falls`, for rows so far from the fit that they are left out."""
+    return [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(solution))]
 
 
 def _bfgs_update(B: Array, step: Array, change: Array) -> Array:

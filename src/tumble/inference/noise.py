@@ -128,7 +128,10 @@ NO_COMPONENTS = VarianceComponents()
 def _stacked(numbers: list[Any]) -> Array:
     """Return n numbers, some of which may be arrays (…), as an array (…, n)."""
     shape = max((number.shape for number in numbers if isinstance(number, np.ndarray)), key=len, default=())
-    return np.stack([np.broadcast_to(number, shape) for number in numbers], axis=-1) if shape else np.array(numbers)
+    out = np.empty((*shape, len(numbers)))
+    for i, number in enumerate(numbers):
+        out[..., i] = number
+    return out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -25,7 +25,7 @@ import numpy as np
 import scipy
 
 from tumble.inference.elimination import conditional_covariances, eliminate, fold, invert_factors, recur_backwards
-from tumble.inference.elimination_kernels import residuals
+from tumble.inference.elimination_kernels import reduced_rows, residual_covariances
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import NoiseModel, VarianceComponents
 from tumble.inference.problem import Problem, SessionSpan
@@ -257,10 +257,12 @@ class Solution:
         )
         for rows, before, parts in kinds:
             (K, t, columns), width = rows.shape, sensitivity.shape[-1]
-            residual, covariance, work = np.zeros((K, t)), np.zeros((K, t, t)), np.empty((t, columns + width))
+            residual, covariance, work = np.zeros((K, t)), np.zeros((K, t, t)), np.empty((t, columns - width))
             for part, root, shared in zip(parts, self.roots, self.shared, strict=False):
-                of_part = rows[part], before[part], sensitivity, here, with_next
-                residuals(*of_part, root, shared, residual[part], covariance[part], work)
+                of_part, along = (rows[part], before[part]), np.empty((len(before[part]), t, width - 1))
+                reduced_rows(*of_part, sensitivity, shared, residual[part], along)
+                along = times_root(along, root)
+                residual_covariances(*of_part, here, with_next, along, covariance[part], work)
             out.append((residual, covariance))
         return out
 
@@ -463,6 +465,12 @@ def times(rows: Array, matrix: Array) -> Array:
     """Return rows (…, K, t, p) times a matrix (…, p, y), in one product."""
     flat = rows.reshape(*rows.shape[:-3], -1, rows.shape[-1])
     return np.asarray(flat @ matrix).reshape(*rows.shape[:-1], matrix.shape[-1])
+
+
+def times_root(rows: Array, root: Array) -> Array:
+    """Return rows (…, n) times an upper triangle (n, n)."""
+    flat = rows.reshape(-1, len(root))
+    return np.asarray(scipy.linalg.blas.dtrmm(1.0, root.T, flat.T, lower=1).T).reshape(rows.shape)
 
 
 def session_mean_bias(equations: NormalEquations) -> tuple[Array, Array]:

@@ -211,13 +211,13 @@ def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[
     Empty names at the end are dropped if rows have no such columns. A missing name is that of the first column if it
     numbers the rows, as written by R, or grows evenly below a name that may be that of a sensor; else that of the last,
     as in rows that end with a comma."""
-    from tumble.recording.columns.names import is_no_sensor
-
     width = Counter(map(len, rows)).most_common(1)[0][0] if rows else len(names)
     while len(names) > width and not names[-1]:
         names = names[:-1]
     if len(names) != width - 1:
         return (*names, *[""] * (width - len(names)))
+    from tumble.recording.columns.names import is_no_sensor  # compiles its patterns, which most logs do not need
+
     wider = [cells for cells in rows if len(cells) == width]
     numbers = [cells[0].strip('"') for cells in wider]
     numbered = any(numbers == [str(first + i) for i in range(len(numbers))] for first in (0, 1))

@@ -116,8 +116,8 @@ def _fit(rests: Sequence[Array]) -> ColouredNoise:
     for _ in range(5):  # until no further rest has its own level
         scaled = [[x / s for x, s in zip(of_c, np.sqrt(level[:, c]), strict=True)] for c, of_c in enumerate(series)]
         filters, autocovariance = _fit_channels(scaled, longest, is_sloping)
-        newly_sloping = np.array([_is_straight(*each) for each in zip(scaled, autocovariance, strict=True)])
-        newly_sloping &= ~is_sloping
+        each = zip(is_sloping, scaled, autocovariance, strict=True)
+        newly_sloping = np.array([not known and _is_straight(x, r) for known, x, r in each])
         if newly_sloping.any():
             is_sloping |= newly_sloping
             for c in np.flatnonzero(newly_sloping):
@@ -196,6 +196,8 @@ def _fit_channels(channels: list[list[Array]], longest: int, is_sloping: BoolArr
     distinct, counts = np.unique(lengths[lengths > 0], return_counts=True)
     shares, middle = distinct * counts / total, int(np.median(lengths))
     mean_loss, line_loss = np.zeros(len(channels)), np.zeros(raw.shape)
+    n_parameters = np.arange(order_limit + 1) + 1.0
+    penalty = 2.0 * len(noisy) * n_parameters * total / (total - n_parameters - 1.0)
     for _ in range(50 if len(noisy) else 0):
         corrected = raw + mean_loss[:, None] + line_loss
         fits = []  # filters, one per row, and innovation variances, as long as the autocovariances are admissible
@@ -205,8 +207,7 @@ def _fit_channels(channels: list[list[Array]], longest: int, is_sloping: BoolArr
             fits.append((order_filters[:count], powers[:count]))
         orders = min(len(powers) for _, powers in fits)
         deviance = total * sum(np.log(powers[:orders]) for _, powers in fits)
-        n_parameters = np.arange(orders) + 1.0
-        best = int(np.argmin(deviance + 2.0 * len(noisy) * n_parameters * total / (total - n_parameters - 1.0)))
+        best = int(np.argmin(deviance + penalty[:orders]))
         new_loss = np.zeros(len(channels))
         for c, (order_filters, _) in zip(noisy, fits, strict=True):
             filters[c] = order_filters[best, : best + 1]
