@@ -399,7 +399,7 @@ def _rest_at(start: float, stop: float) -> Any:
         (_log(file="none.csv"), "log.file: expected a log at"),
         (_log(file="session.toml"), "session.toml: expected a file that ends in .csv"),
         (_log(time="tt"), "log.parquet: expected a column 'tt', found t, ax"),
-        (_log(time_unit="ns"), "expected at least 2 s, found"),
+        (_log(time_unit="ns"), "s; is the time 't' in us, "),
         (_accel(unit="count"), "log.accel.scale: expected the nominal output per unit"),
         (lambda content: content.update(programme={"name": "nin"}), "programme.name: expected one of rough-table"),
         (lambda content: content.update(programme={"name": "nine"}), "programme nine"),

@@ -16,7 +16,8 @@ from click.testing import CliRunner
 
 from tests.support.shared import session
 from tumble.cli import main
-from tumble.drafting.new_session import new_session
+from tumble.drafting.new_session import Given, new_session
+from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.formats import PX4_CORRECTED
 from tumble.units import DEGREE, G_STANDARD, Array
@@ -246,13 +247,45 @@ def a_time_for_each_sensor(folder: Path, rows: Array) -> Path:
     return folder / "log.csv"
 
 
+def devices_one_after_the_other(folder: Path, rows: Array) -> Path:
+    return two_devices(folder / "log.csv", "TimeUS,I", rows, devices_first=True)
+
+
+def devices_in_turn(folder: Path, rows: Array) -> Path:
+    return two_devices(folder / "log.csv", "TimeUS,id", rows)
+
+
+def devices_without_a_name(folder: Path, rows: Array) -> Path:
+    return two_devices(folder / "log.csv", "micros,k", rows)
+
+
+def two_devices(path: Path, first: str, rows: Array, *, devices_first: bool = False) -> Path:
+    """Rows of two devices 40 µs apart, the second with other errors; the number of each is the second column."""
+    time = np.rint(1e6 * rows[:, 0]) + 4e7
+    each = np.column_stack([time, np.full(len(rows), 3.0), rows[:, 1:]])
+    other = np.column_stack([time + 40.0, np.full(len(rows), 7.0), 0.9 * rows[:, 1:] + 0.05])
+    both = np.concatenate([each, other])
+    return table(path, f"{first},{NAMES}", both if devices_first else both[np.argsort(both[:, 0])], digits=12)
+
+
+def rows_of_one_kind(folder: Path, rows: Array) -> Path:
+    """As Android's events are merged: blanks for the sensors that a row is not of."""
+    lines = ["time,accX,accY,accZ,gyroX,gyroY,gyroZ"]
+    for t, *read in rows.tolist():
+        accel, gyro = ([f"{x:.9g}" for x in part] for part in (read[:3], read[3:]))
+        lines += [f"{t:.4f},{','.join(accel)},,,", f"{t + 0.003:.4f},,,,{','.join(gyro)}"]
+    (folder / "log.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder / "log.csv"
+
+
 LOGS: list[Callable[[Path, Array], Path]] = [
-    plain, in_g_and_ms, of_st, printed_counts, counts_at_micros, counter_starts_anew, of_a_german_office,
+    plain, in_g_and_ms, of_st, counts_at_micros, counter_starts_anew, of_a_german_office,
     units_below_names, iso_dates, times_of_day, without_times, header_after_comments, with_magnetometer_and_temperature,
     with_quaternions, two_imus, axes_in_another_order, behind_the_start_of_a_board, named_values, objects_of_json,
     rows_of_a_sensor_each, files_of_a_phone, with_lost_samples, of_a_buffer, whole_seconds, of_a_vehicle,
     tuples_of_python, array_of_numpy, newest_first, newest_first_by_the_clock, in_minutes,
     in_hours_without_a_unit, a_time_for_each_sensor,
+    devices_one_after_the_other, devices_in_turn, devices_without_a_name, rows_of_one_kind,
 ]  # fmt: skip
 
 
@@ -269,6 +302,56 @@ def test_from_the_file_to_the_truth(
     off = {p["name"]: (p["value"] - truth[p["name"]]) / p["u"] for p in found if p["name"] in truth}
     assert {"accel.scale.x", "gyro.scale.x"} <= off.keys()
     assert max(map(abs, off.values())) < 5.0, off
+
+
+def test_counts_printed_without_times_need_the_rate_for_the_gyros_alone(
+    device: tuple[Array, dict[str, float]], tmp_path: Path
+) -> None:
+    """65.5 counts at 50 Hz and 32.8 at 100 Hz turn alike: both cannot be accepted."""
+    rows, truth = device
+    log = printed_counts(tmp_path, rows)
+    for rate, kinds in ((), {"accel"}), (("--sample-rate", "50"), {"accel", "gyro"}):
+        done = CliRunner().invoke(main, ["calibrate", str(log), *PLACE, *rate, "--json"])
+        assert done.exit_code == 0, done.stderr
+        found = [p for p in json.loads(done.stdout)["parameters"] if p["name"] in truth]
+        assert {p["name"].partition(".")[0] for p in found} == kinds
+        assert max(abs(p["value"] - truth[p["name"]]) / p["u"] for p in found) < 5.0
+
+
+@pytest.mark.parametrize(("name", "message", "taken"), [("I", None, "I.3"), ("imu_id", "imu_id.7", "imu_id.7")])
+def test_one_of_several_devices_is_taken_and_the_others_are_said(
+    device: tuple[Array, dict[str, float]], name: str, message: str | None, taken: str, tmp_path: Path
+) -> None:
+    log = two_devices(tmp_path / "log.csv", f"TimeUS,{name}", device[0])
+    draft, _ = new_session(tmp_path / "s", log, Given(message=message))
+    other = {"I.3": "I.7", "imu_id.7": "imu_id.3"}[taken]
+    said = (
+        f"several devices by column {name!r}, of which {taken} is taken; also there, and not used: {other} (--message"
+    )
+    assert any(remark.startswith(said) for remark in draft.remarks)
+    with pytest.raises(InputError, match=f"expected a message 'x', found {name}.3, {name}.7"):
+        new_session(tmp_path / "x", log, Given(message="x"))
+
+
+@pytest.mark.parametrize(("name", "rows_each"), [("k", 1), ("k", 300), ("id", 300), ("id", 100_000)])
+def test_labels_and_states_of_one_log_separate_no_devices(
+    device: tuple[Array, dict[str, float]], name: str, rows_each: int, tmp_path: Path
+) -> None:
+    rows, _ = device
+    state = np.arange(float(len(rows))) // min(rows_each, len(rows) // 2 + 1) % 2
+    draft, _ = new_session(
+        tmp_path / "s", table(tmp_path / "l.csv", f"t,{name},{NAMES}", rows[:, 0], state, rows[:, 1:])
+    )
+    assert draft.files == (tmp_path / "l.csv",)
+
+
+def test_gyros_beside_acceleration_without_gravity_are_not_calibrated_alone(
+    device: tuple[Array, dict[str, float]], tmp_path: Path
+) -> None:
+    names = "t,userAccelX,userAccelY,userAccelZ,gx_dps,gy_dps,gz_dps"
+    done = CliRunner().invoke(main, ["calibrate", str(table(tmp_path / "log.csv", names, device[0]))])
+    assert done.exit_code == 2
+    assert "found linear acceleration, which a filter has taken gravity off (userAccelX, userAccelY" in done.stderr
 
 
 @pytest.mark.parametrize("names", ["gyro_rad_{}", "gyr{} [rad/s]"])

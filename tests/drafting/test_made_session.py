@@ -131,10 +131,32 @@ def test_other_statements_make_it_anew_and_keep_what_was_put_there(logs: Path) -
     again, said = made(logs / "flight-1.2.csv", Given(latitude=40.0))
     assert again == folder
     assert "made anew, with other options or by another version" in said
-    assert "in place of the session of serial number 'flight-1.2'; kept in" in said
+    assert "in place of the session of serial number 'flight-1.2'; its calibration is kept as calibration-1" in said
     assert "latitude_deg = 40.0" in (folder / "session.toml").read_text(encoding="utf-8")
-    assert {f.name for f in folder.iterdir()} == {"session.toml", "made.json", "notes.txt"}
+    assert {f.name for f in folder.iterdir()} == {"session.toml", "made.json", "notes.txt", "calibration-1.json"}
+    (folder / "calibration.json").write_text("again", encoding="utf-8")
+    assert "its calibration is kept as calibration-2.json" in made(logs / "flight-1.2.csv", Given(latitude=30.0))[1]
+    assert (folder / "calibration-1.json").read_text(encoding="utf-8") == "{}"
+    assert (folder / "calibration-2.json").read_text(encoding="utf-8") == "again"
     assert [f.name for f in logs.iterdir() if f.name.startswith(".")] == []
+
+
+def test_a_command_that_only_reads_leaves_a_session_of_other_options(logs: Path) -> None:
+    folder, _ = made(logs / "flight-1.2.csv", replace(GIVEN, serial="B"))
+    (folder / "calibration.json").write_text("{}", encoding="utf-8")
+    before = {f: f.read_bytes() for f in folder.iterdir()}
+    given = Given(serial="A", latitude=50.0)
+    with session_of_log(logs / "flight-1.2.csv", given, Log.chunks, reads_only=True) as (temporary, said, _):
+        assert said == f"{folder} is of other options or another version (--serial) and stays; the log is read anew"
+        assert read_session(temporary).device.serial == "A"
+        assert temporary != folder
+    assert {f: f.read_bytes() for f in folder.iterdir()} == before
+    assert [f for f in logs.iterdir() if f.is_dir()] == [folder]
+
+
+def test_a_latitude_that_is_none_is_said_before_the_session() -> None:
+    with pytest.raises(InputError, match="latitude: expected a number from -90 to 90, found 481"):
+        Given(latitude=481.0)
 
 
 def test_a_session_that_fails_to_be_made_anew_is_as_it_was(logs: Path) -> None:
@@ -151,6 +173,6 @@ def test_what_was_corrected_by_hand_is_used_and_never_replaced(logs: Path) -> No
     text = (folder / "session.toml").read_text(encoding="utf-8").replace("latitude_deg = 50.0", "latitude_deg = 51.0")
     (folder / "session.toml").write_text(text, encoding="utf-8")
     assert made(logs / "flight-1.2.csv")[1].endswith("before, corrected by hand")
-    with pytest.raises(InputError, match="corrected by hand; calibrate it as it is"):
+    with pytest.raises(InputError, match=r"found others \(latitude\), .* corrected by hand; calibrate it as it is"):
         made(logs / "flight-1.2.csv", Given(latitude=40.0))
     assert (folder / "session.toml").read_text(encoding="utf-8") == text

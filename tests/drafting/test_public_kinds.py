@@ -139,11 +139,14 @@ def test_the_first_interval_may_be_that_since_the_start(rows: Array, tmp_path: P
     assert check_read(tmp_path / "s", log, rows) == ""
 
 
-def test_rows_newest_first_over_midnight(rows: Array, tmp_path: Path) -> None:
+@pytest.mark.parametrize("newest_first", [True, False], ids=["newest rows first", "rows of others between"])
+def test_a_copy_continues_a_clock_past_midnight(newest_first: bool, rows: Array, tmp_path: Path) -> None:
     start = datetime(2026, 6, 15, 23, 59, 30)
     times = [f"{start + timedelta(seconds=t):%H:%M:%S.%f}" for t in rows[:, 0].tolist()]
     lines = [f"{t},{','.join(f'{x:.8g}' for x in row[1:])}" for t, row in zip(times, rows.tolist(), strict=True)]
-    (tmp_path / "log.csv").write_text("\n".join([NAMES, *lines[::-1]]) + "\n", encoding="utf-8")
+    pairs = zip(lines, times, strict=True)
+    lines = lines[::-1] if newest_first else [line for own, t in pairs for line in (own, f"{t},,,,,,")]
+    (tmp_path / "log.csv").write_text("\n".join([NAMES, *lines]) + "\n", encoding="utf-8")
     assert check_read(tmp_path / "s", tmp_path / "log.csv", rows) == ""
 
 

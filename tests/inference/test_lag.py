@@ -9,6 +9,7 @@ import pytest
 from scipy import stats
 
 from tumble.inference.hyperparameters import solution_at
+from tumble.inference.integral import is_poorly_sampled
 from tumble.inference.joint import joint
 from tumble.inference.lag import (
     LAGS,
@@ -160,6 +161,16 @@ def test_a_thermometer_that_tells_nothing_costs_little_and_is_said() -> None:
     medians = {name: float(np.median(each)) for name, each in ratios.items()}
     assert max(medians.values()) < 1.3
     assert max(medians["accel.bias"], medians["gyro.bias"]) < 1.2
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_temperature_that_stays_the_same_leaves_sizes_of_its_groups_as_usual(seed: int) -> None:
+    """Their sizes, on which nothing depends, were integrated over the prior: 1,792 points, which did not suffice."""
+    _, observations = warming(seed, "25", {}, 0.0)
+    integral = joint(observations).integral
+    assert integral is not None
+    assert integral.points < 100
+    assert not is_poorly_sampled(integral)
 
 
 def test_a_lag_is_judged_with_the_sizes_that_are_likeliest_with_it() -> None:

@@ -48,6 +48,37 @@ def registry(place: str) -> Iterator[Registry]:
 # -------------------- records are kept as they were added --------------------
 
 
+def test_a_calibration_that_is_not_accepted_withdraws_the_device_until_it_is_calibrated(
+    registry: Registry, tmp_path: Path
+) -> None:
+    added(registry)
+    whole = content()
+    whole["outcome"] = {"accepted": False, "reasons": ["rest 3 moved"]}
+    whole["provenance"] |= {"log_sha256": "e" * 64}
+    record = registry.add_calibration(write(tmp_path / "bad.json", whole))
+    assert (record.verdict, record.accepted, registry.verdict(record)) == ("not accepted", False, None)
+    assert [due.withdrawn for due in registry.due()] == [True]
+    assert len(registry.trend(record.serial).parameters[0].points) == 1
+    mended = content() | {"provenance": whole["provenance"]}  # the same log, without what was wrong in it
+    registry.add_calibration(write(tmp_path / "good.json", mended))
+    assert [due.withdrawn for due in registry.due()] == [False]
+
+
+def test_serial_numbers_that_look_alike_are_named(registry: Registry, tmp_path: Path) -> None:
+    first, other = (
+        registry.add_calibration(
+            write(tmp_path / "c.json", content() | {"device": {"serial": serial}, "provenance": origin})
+        )
+        for serial, origin in (
+            ("N-101", {"created": "2026-03-01", "log_sha256": "1" * 64}),
+            (" n-1O1 ", {"created": "2026-03-02", "log_sha256": "2" * 64}),
+        )
+    )
+    assert other.serial == "n-1O1"
+    assert registry.similar(first) == ["n-1O1"]
+    assert registry.similar(other) == ["N-101"]
+
+
 def test_a_record_keeps_the_whole_file(registry: Registry, tmp_path: Path) -> None:
     values = {"accel.bias.x": 0.1 + 0.2, "gyro.axis.zy": -1e-300}  # every bit of them
     launches = [{"accel.bias.x": 0.25}, {"accel.bias.x": 0.35}]
@@ -139,7 +170,6 @@ def change(path: str, value: object) -> Callable[[dict[str, Any]], None]:
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
-        (change("outcome", {"accepted": False, "reasons": ["rest 3 moved"]}), "an accepted one, found: rest 3 moved"),
         (change("parameters", []), "expected a row and a column for each parameter, found one of 21"),
         (change("parameters/0/value", float("inf")), "expected a calibration file of tumble, found Infinity in place"),
         (change("device/serial", "A\0B"), "device.serial: expected 1 to 200 printable characters"),

@@ -40,7 +40,8 @@ def test_the_model_at_a_temperature_corrects_as_the_calibration_does_there() -> 
 
 
 def test_u_of_a_curve_has_the_degrees_of_freedom_of_the_sum() -> None:
-    """Welch and Satterthwaite: at the reference the k of the value, far from it that of the highest power."""
+    """Welch and Satterthwaite, but no less than a single term: at the reference the k of the value, far from it that of
+    the highest power."""
     made = warmed(calibration())
     degrees = {"accel.bias.x": 20.0, "accel.bias.x.t1": 3.0, "accel.bias.x.t2": None}
     made = replace(made, parameters=tuple(replace(p, dof=degrees.get(p.name)) for p in made.parameters))
@@ -52,7 +53,23 @@ def test_u_of_a_curve_has_the_degrees_of_freedom_of_the_sum() -> None:
         combined = np.sqrt(np.sum(np.square(parts)))
         nu = combined**4 / (parts[0] ** 4 / 20.0 + parts[1] ** 4 / 3.0)
         assert found.expanded is not None
-        assert found.expanded[0] == pytest.approx(coverage_factor(float(nu)) * combined, rel=1e-6)
+        terms = (coverage_factor(20.0) * parts[0], coverage_factor(3.0) * parts[1])
+        assert found.expanded[0] == pytest.approx(max(coverage_factor(float(nu)) * combined, *terms), rel=1e-6)
+
+
+def test_more_terms_never_make_u_smaller_than_that_of_one_of_them() -> None:
+    """A bias of three launches, with two degrees of freedom, and a slope that is well known."""
+    made = warmed(calibration())
+    made = replace(
+        made, parameters=tuple(replace(p, dof=2.0 if "." not in p.name[11:] else None) for p in made.parameters)
+    )
+    assert made.reference_temperature is not None
+    u = made["accel.bias.x"].u or 0.0
+    ratios = np.array([0.0, 0.3, 1.0, 3.0])
+    celsius = made.reference_temperature + ratios * u / (made["accel.bias.x.t1"].u or 1.0)
+    found = temperature_curve(made, "accel.bias.x", celsius)
+    assert found.expanded is not None
+    assert np.all(found.expanded >= coverage_factor(2.0) * u * (1.0 - 1e-9))
 
 
 def test_a_curve_of_too_few_degrees_of_freedom_has_no_u() -> None:

@@ -68,6 +68,16 @@ def jumped(hand: Recorded, size: float, after: int) -> Array:
     return hand.gyro + np.outer(hand.time > at, size * DEGREE * np.array([0.6, -0.48, 0.64]))
 
 
+@pytest.mark.parametrize(("kind", "size"), [("gyro", 0.03 * DEGREE), ("gyro", 0.1 * DEGREE), ("accel", 0.1)])
+def test_a_jump_of_one_sensor_is_no_wander_and_is_named_where_it_is(hand: Recorded, kind: str, size: float) -> None:
+    """In-run biases that are large enough follow it, and a drift was named as the cause."""
+    at = 0.5 * (hand.rests[8][1] + hand.rests[9][0])
+    readings = getattr(hand, kind) + np.outer(hand.time > at, [0.0, size, 0.0])
+    made = tumble.calibrate(hand.session(**{kind: readings}))
+    said = [one for one in (*made.outcome.reasons, *made.outcome.remarks) if "jump" in one]
+    assert any("after rest 9 " in one for one in said), made.outcome
+
+
 @pytest.mark.parametrize("size", [0.3, 1.0, 3.0])
 def test_a_jump_of_the_gyros_is_named_and_spoils_their_biases_alone(hand: Recorded, size: float) -> None:
     made = tumble.calibrate(hand.session(gyro=jumped(hand, size, 9)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -81,7 +82,20 @@ def test_another_device_under_the_same_serial_number_is_remarked_first(runs: lis
     first = found.outcome.remarks[0]
     assert first.startswith("the launches differ by more than power-ons and noise of one device: ")
     assert "they are of different devices, or the device was changed" in first
+    assert found.outcome.unsteady == (first,)
+    assert found.outcome.is_unsteady("gyro.bias")
     assert not any("the launches differ" in remark for remark in mean_of_launches(runs).outcome.remarks)
+
+
+def test_launches_of_two_types_under_one_serial_number_are_refused(runs: list[LaunchRun]) -> None:
+    types: list[dict[str, Any]] = [{"model": "FOG-1", "grade": "tactical"}, {"model": "MEMS-T"}, {"grade": "mems"}]
+    first, *others = (
+        replace(runs[i], session=replace(runs[i].session, device=replace(runs[i].session.device, **stated)))
+        for i, stated in zip((0, 1, 1), types, strict=True)
+    )
+    for other, said in zip(others, ("model: expected 'FOG-1' like", "grade: expected 'tactical' like"), strict=True):
+        with pytest.raises(InputError, match=said):
+            mean_of_launches([first, other])
 
 
 def test_a_table_of_positions_is_checked_with_the_rests_and_scatter_of_all_launches(

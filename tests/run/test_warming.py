@@ -13,6 +13,7 @@ from tests.support.warming import G, Warming, cubic_fit, known_u, warming
 from tumble import Calibration, InputError, calibrate, read_calibration
 from tumble.export import export_calibration
 from tumble.inference.sources import earth_at_rest
+from tumble.recording.arrays import session_of_arrays
 from tumble.reduction.rests.thermometer_errors import curve_through, level_crossings
 from tumble.result.parts import CalibratedTemperature
 from tumble.result.temperature_curves import temperature_curve
@@ -120,6 +121,23 @@ def test_gyro_biases_have_the_earths_rate_of_unknown_heading_in_them(recorded: W
     assert np.linalg.norm(mean) == pytest.approx(7.292115e-5 * np.sin(np.radians(50.0)))
     assert np.trace(covariance) == pytest.approx((7.292115e-5 * np.cos(np.radians(50.0))) ** 2)
     assert np.trace(earth_at_rest(None, 0.5)[1]) == pytest.approx(7.292115e-5**2)
+
+
+def test_u_of_gyro_biases_includes_gravity_by_the_usual_g_sensitivity(recorded: Warming) -> None:
+    """With a g-sensitivity of 100 °/h/g, three times the usual one of MEMS, the biases are off by what u says."""
+    up = recorded.accel.mean(axis=0) / G
+    by_force = np.radians(100.0 / 3600.0) * np.array([up[2], -up[2], up[2]])
+    made = calibrate(**{**recorded.arrays, "gyro": recorded.arrays["gyro"] + by_force})
+    without = calibrate(**recorded.arrays)
+    for name in ("gyro.bias.x", "gyro.bias.y", "gyro.bias.z"):
+        assert abs(made[name].value - without[name].value) < 4.0 * (made[name].u or 0.0)
+    assert "prior.gyro.g_sensitivity" in {line.name for line in made.evidence.budget}
+
+
+def test_the_doubt_of_a_draft_is_repeated_with_the_result(recorded: Warming) -> None:
+    session = session_of_arrays(**recorded.arrays)
+    made = calibrate(replace(session, log=replace(session.log, doubt="gyros in deg/s by a guess")))
+    assert "doubt: gyros in deg/s by a guess" in made.provenance.doubts
 
 
 @pytest.fixture(scope="module")

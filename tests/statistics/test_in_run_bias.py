@@ -54,8 +54,11 @@ def test_a_warm_up_is_in_the_process_of_the_biases_and_said(settles: float, seco
     assert said.verdict == "accepted with scatter", said.reasons
     assert any(
         remark.startswith(("biases of the gyros drift by ", "biases of the gyros wander by "))
-        for remark in said.remarks
+        for remark in said.unsteady
     )
+    assert said.remarks[: len(said.unsteady)] == said.unsteady
+    assert said.is_unsteady("gyro.bias")
+    assert not said.is_unsteady("gyro.axis")
     assert np.sqrt(np.mean(errors**2)) < 1.6
     assert np.abs(errors).max() < 4.0
 

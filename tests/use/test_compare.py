@@ -17,7 +17,7 @@ from tumble.errors import InputError
 from tumble.planning.setup import Setup
 from tumble.recording.session import Site
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Parameter
+from tumble.result.parts import Launch, Parameter
 from tumble.run.calibrate import calibrate
 from tumble.sensors.frames import Frame
 from tumble.sensors.model import Block
@@ -119,6 +119,32 @@ def test_e_n_beyond_one_is_as_rare_as_chance_has_it() -> None:
         rare += (found.probability or 0.0) < 0.05
     assert abs(np.mean(beyond) - 0.0455) < 5.0 * np.std(beyond) / np.sqrt(N)
     assert abs(rare / N - 0.05) < 5.0 * np.sqrt(0.05 * 0.95 / N)
+
+
+def test_means_of_launches_contradict_together_as_rarely_as_chance_has_it() -> None:
+    """N = 2000 pairs of means of three launches, each of the 21 parameters with its own s (2 degrees of freedom). Below
+    5 % and 0.1 % are no more than that, with 4 σ of a binomial on top: false alarm 3e-5 each. A change of all values by
+    12 standard deviations of the mean, which F with 2 degrees of freedom does not see, contradicts."""
+    made, rng, N = calibration(), np.random.default_rng(4), 2000
+    assert made.covariance is not None
+    sigma = np.sqrt(np.diag(made.covariance))
+    R = made.covariance / np.outer(sigma, sigma)
+    launch = Launch(session="1", parameters=made.parameters, covariance=made.covariance, log_sha256="c" * 64)
+    made = with_fields(made, site=None, launches=(launch, launch, launch))
+
+    def mean_of_three(shift: float = 0.0) -> Calibration:
+        values = sigma * (rng.multivariate_normal(np.zeros(len(sigma)), R, method="cholesky") + shift)
+        u = sigma * np.sqrt(rng.chisquare(2.0, len(sigma)) / 2.0)
+        parameters = tuple(
+            replace(p, value=value, u=size, dof=2.0)
+            for p, value, size in zip(made.parameters, values.tolist(), u.tolist(), strict=True)
+        )
+        return replace(made, parameters=parameters, covariance=R * np.outer(u, u))
+
+    p = np.array([compare_calibrations(mean_of_three(), mean_of_three()).probability for _ in range(N)], float)
+    for level in (0.05, 1e-3):
+        assert (p < level).mean() < level + 4.0 * np.sqrt(level * (1.0 - level) / N)
+    assert compare_calibrations(mean_of_three(), mean_of_three(12.0)).contradicts
 
 
 def test_one_value_of_many_beyond_one_is_no_disagreement() -> None:

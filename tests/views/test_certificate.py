@@ -23,9 +23,11 @@ from tumble.errors import InputError
 from tumble.export import export_calibration
 from tumble.inference.estimate import Outcome
 from tumble.lab.certificate import Party, read_certificate
+from tumble.lab.conformity import judge_calibration
+from tumble.lab.limits import parse_limits
 from tumble.lab.report import letterhead, write_certificate
 from tumble.planning.setup import Setup
-from tumble.recording.session import AirConditions, Circumstances
+from tumble.recording.session import AirConditions, Circumstances, Site
 from tumble.recording.session_file import session_of
 from tumble.result.calibration import read_calibration
 from tumble.result.coverage import expanded
@@ -355,6 +357,7 @@ def test_a_customer_reads_no_opinions_and_no_advice_and_signs_beside_the_result(
         write_certificate(path, tmp_path / f"r.{ending}", tmp_path / "certificate.toml")
     page = Page.of(tmp_path / "r.html").whole
     assert "probable cause" not in page
+    assert "Residuals larger than the noise; what would explain the residuals: the switch on was earlier" in page
     assert "device.prior" not in page
     assert "Accepted with scatter" in page
     assert "scale factors hold at this rate" in page
@@ -364,6 +367,50 @@ def test_a_customer_reads_no_opinions_and_no_advice_and_signs_beside_the_result(
     assert pages[1].startswith("Annexes")
     write_report(path, tmp_path / "laboratory.html")  # a report for those who run the program has all of it
     assert "probable cause" in Page.of(tmp_path / "laboratory.html").whole
+
+
+JUMP = (
+    "probable cause: biases of the gyros jump by 30°/h after rest 8 (291.2–309.2 s), as of a driver that measures them "
+    "anew or of another device: calibrate what is before and what is after as launches, each with the times of the "
+    "other in [[exclude]]"
+)
+
+
+def test_a_device_that_changed_while_it_was_recorded_needs_a_statement_and_is_not_judged(tmp_path: Path) -> None:
+    path = files(tmp_path, certificate=CERTIFICATE.replace('state = "as-left"\nas_found = "before.json"\n', ""))
+    outcome = Outcome(remarks=(JUMP,), concerns={JUMP: ("gyro",)}, unsteady=(JUMP,))
+    with_fields(read_calibration(path), outcome=outcome).write(path, force=True)
+    (tmp_path / "limits.toml").write_text('format = 1\n[periodic]\n"gyro.bias" = "90 deg/h"\n', "utf-8")
+    stated = tmp_path / "certificate.toml"
+    for write in (
+        lambda: write_certificate(path, tmp_path / "r.html", stated),
+        lambda: export_calibration(path, "dcc", certificate=stated),
+    ):
+        with pytest.raises(InputError, match=r"changed: expected a statement .* biases of the gyros jump by 30°/h"):
+            write()
+    stated.write_text(stated.read_text("utf-8").replace("[customer]", 'changed = "The Y gyro jumped."\n[customer]', 1))
+    reasons = write_certificate(path, tmp_path / "r.html", stated)
+    assert [reason.partition(": ")[2] for reason in reasons] == [
+        "periodic check: changed while it was recorded: gyro.bias.x, gyro.bias.y, gyro.bias.z"
+    ]
+    seen = "jump by 30°/h after rest 8 (291.2–309.2 s), as of a driver that measures them anew or of another device"
+    dcc = export_calibration(path, "dcc", certificate=stated).content.decode()
+    for text in (Page.of(tmp_path / "r.html").whole, dcc):
+        assert seen in text
+        assert "The Y gyro jumped." in text
+        assert "exclude" not in text
+
+
+def test_scale_factors_in_gravity_at_the_place_are_not_certified(tmp_path: Path) -> None:
+    path = files(tmp_path)
+    made = read_calibration(path)
+    site = Site(latitude=None, height=0.0, gravity=9.80665, gravity_u=0.0, gravity_is_unit=True)
+    with_fields(made, site=site).write(path, force=True)
+    with pytest.raises(InputError, match="expected scale factors in SI, found gravity at the place"):
+        write_certificate(path, tmp_path / "r.html", tmp_path / "certificate.toml")
+    limits = parse_limits('format = 1\n[periodic]\n"accel.scale" = "5000 ppm"\n', "limits")
+    (verdict,) = judge_calibration(read_calibration(path), limits)
+    assert [j.expanded for j in verdict.judgements] == pytest.approx([2.0 * 0.03 / 9.80665] * 3, rel=0.1)
 
 
 @pytest.fixture(scope="module")

@@ -110,7 +110,7 @@ def calibrate(
     if base is not None and (len(sessions) > 1 or together or methods != ("joint",)):
         raise InputError("--base: expected one recording and the method joint, found others")
     estimation |= {} if base is None else {"base": base}
-    folders_made = session_folders(sessions, dict(options), every=shown["every"])
+    folders_made = session_folders(sessions, dict(options), every=shown["every"], reads_only=False)
     with _gyros_alone(sessions, options, out, force=force), folders_made as folders, console.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
         if together:

@@ -200,5 +200,6 @@ def _earth_reversed(observations: Observations, vertical: Array, g_sensitivity: 
     noise = float(np.einsum("ij,ijk,ik->i", along, rests.gyro_covariance, along).mean())
     scatter = float(((rate - rows @ solution) ** 2).sum()) / (len(rate) - 4)
     by_force = max((g_sensitivity * site.gravity) ** 2, 1.5 * (scatter - noise)) / 3.0 / vertical_rate**2
-    s, u = float(solution[3]), float(np.sqrt(max(scatter, noise) * np.linalg.inv(rows.T @ rows)[3, 3] + by_force))
+    s, by_noise = float(solution[3]), max(scatter, noise) * float((np.linalg.pinv(rows)[3] ** 2).sum())
+    u = math.sqrt(by_noise + by_force)
     return s - 1.0 < -6.0 * u and abs(s + 1.0) < 3.0 * u + 0.1

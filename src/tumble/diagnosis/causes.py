@@ -5,7 +5,9 @@ linearisation of the estimate, without solving again (`tumble.diagnosis.projecti
 judged by the noise alone, as chi-square of q degrees of freedom, and with the variance components of the estimate, by
 F = (Δχ²/q) / ((χ² − Δχ²)/(ν − q)). The larger probability counts: with few degrees of freedom, scatter may be due to
 chance, or a cause may leave nothing of the residuals. Drifts are no candidates: they are part of the bias processes and
-of the groups that vary in time, whose sizes are estimated (`tumble.diagnosis.misfit`).
+of the groups that vary in time, whose sizes are estimated (`tumble.diagnosis.misfit`). In-run biases that are large
+enough follow a jump of a bias, too. So a jump is judged with in-run biases of usual size if these and the jump are far
+more likely than the larger in-run biases: if Δχ² exceeds the difference of both in −2 ln L by more than chance does.
 """
 
 from __future__ import annotations
@@ -14,15 +16,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 
 from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, with_unit
 from tumble.diagnosis.linearised_session import PATH_STEPS, SHORTEST_TURN, LinearisedSession
-from tumble.diagnosis.projection import FALSE_ALARMS, Projection, approximate_drops, projections
+from tumble.diagnosis.projection import FALSE_ALARMS, Projection, diagnostic_solution, projections
 from tumble.earth import earth_rate
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import VarianceComponents
-from tumble.inference.normal_equations import Solution
 from tumble.rotation import skew
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block, SensorKind
@@ -37,6 +39,8 @@ EARTH_RATE_U = 0.03
 information the headings are hardly determined and not linear."""
 RESTS_BESIDE_JUMP = 2
 """Fewest rests before and after a jump: a single rest with another bias is a rest that does not fit."""
+JUMP_PLACES = 24
+"""Most places in a session at which a jump of biases is tried."""
 SHIFT_PLACES = 7
 """Places in a session at which a shift of the gyros is tried; one between two of them is found at either."""
 COARSE_ROUNDING = 0.5  # error of the mean of a rest by rounding, in units of its noise, from which rounding is a cause
@@ -71,6 +75,7 @@ class Candidate:
     sentences: Sequence[str]  # one, or one for each session, with {size}
     largest_u: float = np.inf  # SI: it is not tested where its size is more uncertain
     places: int = 1  # number of places of which this is the most likely one
+    abrupt: bool = False  # whether larger in-run biases than usual could have followed it
     direct: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """By group, the change beside the effect on the rows, per unit of the size, and its standard uncertainty."""
 
@@ -85,29 +90,39 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
     instrument = linearised.problem.instrument
     groups = positions_by_group(instrument.names[: instrument.linear_count])
     with_scatter = list(projections(linearised, linearised.components, rest, turn))
-    noise_only = with_scatter
+    noise_only, usual_biases, excess = with_scatter, with_scatter, np.inf
     if with_scatter[0].has_scatter:
         noise_only = list(projections(linearised, VarianceComponents(), rest, turn))
+    if linearised.components.wanders and any(c.abrupt for c in candidates):
+        components = _with_usual_biases(linearised)
+        usual_biases = list(projections(linearised, components, rest, turn))
+        deviances = [diagnostic_solution(linearised, each).deviance for each in (components, linearised.components)]
+        excess = float(deviances[0] - deviances[1])
     places = dict[tuple[str, tuple[str, ...]], int]()
     for c in candidates:
         places[c.name, c.concerns] = places.get((c.name, c.concerns), 0) + c.places
     causes_by_session = []
-    for s, (by_noise, projection) in enumerate(zip(noise_only, with_scatter, strict=True)):
-        best = dict[tuple[str, tuple[str, ...]], tuple[Cause, IntArray]]()
+    for s, (by_noise, estimated, usual) in enumerate(zip(noise_only, with_scatter, usual_biases, strict=True)):
+        best = dict[tuple[str, tuple[str, ...]], tuple[Cause, IntArray, Projection]]()
         for c, own_columns in zip(candidates, columns, strict=True):
-            first, fit = by_noise.fit(own_columns, c.largest_u), projection.fit(own_columns)
+            first, fit, projection = by_noise.fit(own_columns, c.largest_u), estimated.fit(own_columns), estimated
             if first is None or fit is None:
                 continue
-            p_value = max(by_noise.p_value(first.drop, first.rank), projection.p_value(fit.drop, fit.rank))
+            p_value, values = projection.p_value(fit.drop, fit.rank), fit.values
+            if c.abrupt and (other := usual.fit(own_columns)) is not None:
+                values = other.values
+                if other.drop > excess + scipy.special.chdtri(other.rank, FALSE_ALARMS / places[c.name, c.concerns]):
+                    projection, p_value = usual, usual.p_value(other.drop, other.rank)
+            p_value = max(by_noise.p_value(first.drop, first.rank), p_value)
             p_value = min(1.0, places[c.name, c.concerns] * p_value)
             if (c.name, c.concerns) in best and best[c.name, c.concerns][0].p_value <= p_value:
                 continue
-            shift, variance = fit.shift.copy(), projection.u**2
+            shift, variance = fit.shift.copy(), estimated.u**2
             for group, (change, u) in c.direct.items():
                 shift[groups[group]] -= change * fit.values[0]
                 variance[groups[group]] += u**2
             damage = np.abs(shift) / np.sqrt(variance)
-            size = with_unit(float(np.abs(fit.values).max()), c.unit)
+            size = with_unit(float(np.abs(values).max()), c.unit)
             cause = Cause(
                 name=c.name,
                 concerns=c.concerns,
@@ -115,22 +130,33 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
                 by_group={group: float(damage[members].max()) for group, members in groups.items()},
                 sentence=c.sentences[min(s, len(c.sentences) - 1)].format(size=size),
             )
-            best[c.name, c.concerns] = cause, own_columns
-        causes_by_session.append(_beside_the_likeliest(list(best.values()), projection))
+            best[c.name, c.concerns] = cause, own_columns, projection
+        causes_by_session.append(_beside_the_likeliest(list(best.values())))
     return causes_by_session
 
 
-def _beside_the_likeliest(found: list[tuple[Cause, IntArray]], projection: Projection) -> list[Cause]:
+def _with_usual_biases(linearised: Linearisation) -> VarianceComponents:
+    """Return the variance components with in-run biases that are at most as large as usual."""
+    components, usual = linearised.components, linearised.problem.observations.in_run
+    return replace(
+        components,
+        accel_in_run=min(components.accel_in_run, usual.get("accel", np.inf)),
+        gyro_in_run=min(components.gyro_in_run, usual.get("gyro", np.inf)),
+        unlike=np.zeros(0),
+    )
+
+
+def _beside_the_likeliest(found: list[tuple[Cause, IntArray, Projection]]) -> list[Cause]:
     """Return the causes, the likeliest first if it is significant, with the p-values of the others beside it.
 
     A cause is its rival if neither explains anything beside the other."""
-    causes = [cause for cause, _ in found]
+    causes = [cause for cause, *_ in found]
     if not causes or min(cause.p_value for cause in causes) > FALSE_ALARMS:
         return causes
-    best, best_columns = min(found, key=lambda each: each[0].p_value)
+    best, best_columns, projection = min(found, key=lambda each: each[0].p_value)
     best_fit, others = projection.fit(best_columns), list[Cause]()
     assert best_fit is not None
-    for cause, columns in found:
+    for cause, columns, _ in found:
         both, own_fit = projection.fit(np.concatenate([best_columns, columns])), projection.fit(columns)
         if columns is best_columns or both is None or own_fit is None:
             continue
@@ -151,12 +177,10 @@ def _beside_the_likeliest(found: list[tuple[Cause, IntArray]], projection: Proje
 # -------------------- the candidates --------------------
 
 
-def candidates_of(session: LinearisedSession, noise_only: Solution) -> Iterator[Candidate]:
-    """Yield all candidates except lost samples (`tumble.diagnosis.lost_samples`).
-
-    `noise_only` is the solution without variance components."""
+def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
+    """Yield all candidates except lost samples (`tumble.diagnosis.lost_samples`)."""
     about, gyro = session.linearised.about, session.observations.gyro_block
-    yield from jumps(session, noise_only)
+    yield from jumps(session)
     hysteresis = session.bias_columns("accel", *_lags_along_session(session, session.accel, _play_lag, np.ones(())))
     yield Candidate(
         name="hysteresis",
@@ -196,44 +220,43 @@ def _per_g(kind: str, power: int) -> tuple[float, str]:
     return size / G_STANDARD**power, f"{name}/g{'' if power == 1 else '²'}"
 
 
-def jumps(session: LinearisedSession, noise_only: Solution) -> Iterator[Candidate]:
-    """Yield a jump of the biases of each kind of sensor, as of a driver that measures them anew.
+def jumps(session: LinearisedSession) -> Iterator[Candidate]:
+    """Yield a jump of the biases of each kind of sensor after some rest, as of a driver that measures them anew.
 
-    In each session the jump is after the rest where it explains most of the residuals by noise alone. The turn there
-    has half of it. The parameters are the means over the rests, and the jump is about these."""
+    The turn there has a bias of its own, as the jump may be anywhere in it. The parameters are the means over the
+    rests, and the jump is about these."""
     rests, parts = session.observations.rests, session.problem.parts
     turns = len(session.problem.before_turn)
-    for kind, block in session.kinds:
-        constant = np.ones((len(rests), block.size)), np.ones((turns, PATH_STEPS, block.size))
-        bias = noise_only.equations.rest_whitening @ session.bias_columns(kind, *constant)[0]
-        at_rest, in_turn, sentences = np.zeros(len(rests)), np.zeros(turns), list[str]()
+    longest = max(part.rests.stop - part.rests.start for part in parts) - 2 * RESTS_BESIDE_JUMP + 1
+    for place in np.linspace(0.0, 1.0, min(max(longest, 1), JUMP_PLACES)):
+        at_rest, in_turn, there, where = np.zeros(len(rests)), np.zeros(turns), np.zeros(turns), list[str]()
         for part in parts:
-            lasts = np.arange(part.rests.start + RESTS_BESIDE_JUMP - 1, part.rests.stop - RESTS_BESIDE_JUMP)
-            later = (np.arange(part.rests.start, part.rests.stop) > lasts[:, None]).astype(float)
-            about_mean = later - later.mean(axis=1, keepdims=True)
-            residual, covariance = (each[part.rests] for each in noise_only.rest_residuals)
-            drops = approximate_drops(about_mean, bias[part.rests], residual, covariance)
-            place = ""
-            if drops.any():
-                last = int(lasts[np.argmax(drops)])
+            first, beyond = part.rests.start + RESTS_BESIDE_JUMP - 1, part.rests.stop - RESTS_BESIDE_JUMP - 1
+            last = round(first + place * max(beyond - first, 0))
+            if beyond >= first:
                 after, in_turn[part.turns] = session.after_rest(last, part)
+                there[part.turns] = in_turn[part.turns] == 0.5
                 at_rest[part.rests] = after - after.mean()
                 in_turn[part.turns] -= after.mean()
-                name = session.observations.rest_named(last).rpartition(": ")[2]
-                place = f"{name} ({rests.start[last]:z.1f}–{rests.stop[last]:z.1f} s)"
-            sentences.append(
-                f"biases of the {SENSORS[kind]} jump by {{size}} after {place}, as of a driver that measures them anew "
-                "or of another device: calibrate what is before and what is after as launches, each with the times of "
-                "the other in [[exclude]]"
+            name = session.observations.rest_named(last).rpartition(": ")[2]
+            where.append(f"{name} ({rests.start[last]:z.1f}–{rests.stop[last]:z.1f} s)")
+        for kind, block in session.kinds:
+            each, steps = np.ones(block.size), np.ones((PATH_STEPS, block.size))
+            jump = session.bias_columns(kind, at_rest[:, None] * each, in_turn[:, None, None] * steps)
+            meanwhile = session.bias_columns(kind, np.zeros((len(rests), block.size)), there[:, None, None] * steps)
+            yield Candidate(
+                name="jump",
+                concerns=(kind,),
+                columns=(np.concatenate([jump[0], meanwhile[0]], axis=2), np.concatenate([jump[1], meanwhile[1]], 2)),
+                unit=BIAS_UNITS[kind],
+                sentences=[
+                    f"biases of the {SENSORS[kind]} jump by {{size}} after {rest}, as of a driver that measures them "
+                    "anew or of another device, and the values given are means over the rests: calibrate what is "
+                    "before and what is after as launches, each with the times of the other in [[exclude]]"
+                    for rest in where
+                ],
+                abrupt=True,
             )
-        yield Candidate(
-            name="jump",
-            concerns=(kind,),
-            columns=session.bias_columns(kind, at_rest[:, None] * constant[0], in_turn[:, None, None] * constant[1]),
-            unit=BIAS_UNITS[kind],
-            sentences=sentences,
-            places=max(1, max(part.rests.stop - part.rests.start for part in parts) - 2 * RESTS_BESIDE_JUMP + 1),
-        )
 
 
 def shifts(session: LinearisedSession, about: IntegratedTurns, gyro: Block) -> Iterator[Candidate]:

@@ -34,12 +34,15 @@ class Finding:
         Whether they cannot be used; otherwise the finding is a remark.
     causes : tuple of str
         Names of possible causes, the most likely first.
+    unsteady : bool
+        Whether parameters changed in the session by more than is usual.
     """
 
     sentence: str
     concerns: tuple[str, ...] = ()
     refuses: bool = False
     causes: tuple[str, ...] = ()
+    unsteady: bool = False
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -59,13 +62,16 @@ def refusal(sentence: str, *concerns: str) -> Finding:
 
 
 def outcome_of(findings: Iterable[Finding], unobservable: tuple[str, ...] = ()) -> Outcome:
-    """Build an `Outcome` from findings, in their order, and the names of undetermined parameters."""
-    findings = tuple(findings)
+    """Build an `Outcome` from findings and the names of undetermined parameters.
+
+    Sentences are in the order of the findings, remarks on changed parameters before others."""
+    findings = sorted(findings, key=lambda finding: not (finding.unsteady or finding.refuses))
     return Outcome(
         reasons=tuple(finding.sentence for finding in findings if finding.refuses),
         remarks=tuple(finding.sentence for finding in findings if not finding.refuses),
         unobservable=unobservable,
         concerns={finding.sentence: finding.concerns for finding in findings if finding.concerns},
+        unsteady=tuple(finding.sentence for finding in findings if finding.unsteady and not finding.refuses),
     )
 
 

@@ -52,6 +52,7 @@ UNUSUAL_RATIO = 3.0
 and the in-run bias of one sensor against those of its kind."""
 UNUSUAL_GROUP_RATIO, WIDENED_RATIO = 5.0, 10.0
 """The same for the size of a group of parameters, and for the widening of its prior at the maximum."""
+CHANGES = ("jump", "shift")  # causes by which parameters are others before than after
 MOVEMENT_RATIO = 10.0
 """Scatter over noise of turns, relative to that of gyros at rest, above which turns have a cause of their own."""
 LARGEST_DAMAGE, ACCEPTED_DAMAGE = 3.0, 0.5
@@ -134,7 +135,7 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     ]
     causes = [list[Cause]() for _ in p_values]
     if search:
-        causes = _causes(session, diagnostic_solution(linearised, VarianceComponents()))
+        causes = _causes(session)
     limit = holm_limit(
         [p for of_session in p_values for p in of_session.values()]
         + [cause.p_value for of_session in causes for cause in of_session]
@@ -155,7 +156,9 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
         findings.append(
             remark(f"{len(by_session) - MOST_SESSIONS} more sessions scatter: calibrate them one by one to see why")
         )
-    findings += [*unusual_groups(estimate), *varying]
+    jumping = {kind for finding in findings if "jump" in finding.causes for kind in finding.kinds}
+    findings += unusual_groups(estimate)
+    findings += (one for one in varying if one.causes == ("scale-factor drift",) or jumping.isdisjoint(one.kinds))
     if estimate.method == "joint":
         return tuple(findings)
     return tuple(
@@ -210,7 +213,7 @@ def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
     likely = fit_candidates(linearised, errors)[0]
     if not likely or likely[0].name != "clock" or likely[0].p_value > FALSE_ALARMS:
         return None
-    first = _causes(session, diagnostic_solution(linearised, VarianceComponents()))[0][0]
+    first = _causes(session)[0][0]
     if first.name != "clock" or first.rivals:
         return None
     clock = next(error for error in errors if error.name == "clock")
@@ -227,11 +230,11 @@ def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
     )
 
 
-def _causes(session: LinearisedSession, noise_only: Solution) -> list[list[Cause]]:
+def _causes(session: LinearisedSession) -> list[list[Cause]]:
     """Return for each session its causes, one of each name and kind of sensor, the most significant first."""
     by_p_value, linearised = attrgetter("p_value"), session.linearised
     with_scatter = diagnostic_solution(linearised, linearised.components)
-    candidates = [*candidates_of(session, noise_only), *lost_in_one_turn(session, with_scatter)]
+    candidates = [*candidates_of(session), *lost_in_one_turn(session, with_scatter)]
     by_session = fit_candidates(linearised, candidates)
     turns_only = scatter_of_turns_only(linearised) if any(session.has_turns) else with_scatter
     for s, causes in enumerate(by_session):
@@ -294,7 +297,8 @@ def _session_findings(
     for cause in named:
         if cause not in harmful:
             sentence = f"probable cause: {cause.sentence}"
-            yield Finding(sentence=sentence, concerns=cause.concerns, causes=(cause.name, *cause.rivals))
+            possible = cause.name, *cause.rivals
+            yield Finding(sentence=sentence, concerns=cause.concerns, causes=possible, unsteady=cause.name in CHANGES)
     yield from _erratic_biases(linearised)
 
 
@@ -351,7 +355,8 @@ def _scatter_sentence(group: ResidualGroup, ratio: float, linearised: Linearisat
         if group.name not in REST_SCATTER:
             sentence += f"; look for lost or held samples{jitter_hint(observations)}"
     sentence += f"; and {jumps}: turn smoothly, or sample faster" if jumps else ""
-    return f"{sentence}{RANDOM_IN_U}"
+    remedy = "; longer rests on a hard support reduce it" if group.name in REST_SCATTER and not exceeds else ""
+    return f"{sentence}{RANDOM_IN_U}{remedy}"
 
 
 def unusual_groups(estimate: Estimate) -> Iterator[Finding]:
@@ -419,7 +424,7 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
                     f"{parameters} drift by {changed} over the session, the values given are means over its "
                     f"rests{IN_U}; let the device warm up, or make the session shorter"
                 )
-                yield Finding(sentence=sentence, concerns=(f"{kind}.{what}",), causes=(cause,))
+                yield Finding(sentence=sentence, concerns=(f"{kind}.{what}",), causes=(cause,), unsteady=True)
         size, time, bias = by_name.get(f"{kind}_in_run"), by_name.get(f"{kind}_time"), (f"{kind}.bias",)
         if size is None or time is None:
             continue
@@ -429,12 +434,14 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
             sentence = f"biases of the {words} wander by {in_run} in the session, where {usual} is usual"
             lasting = time.value > longest
             if lasting:
-                sentence += ", and last longer than the session: a drift, or warm-up after power-on; switch on earlier"
+                sentence += (
+                    ", and last longer than the session: a drift, a jump, or warm-up after power-on; switch on earlier"
+                )
             cause = "drift" if lasting else "in-run bias"
-            yield Finding(sentence=f"{sentence}{IN_U}", concerns=bias, causes=(cause,))
+            yield Finding(sentence=f"{sentence}{IN_U}", concerns=bias, causes=(cause,), unsteady=True)
         for sensor in block.sensors:
             ratio = by_name.get(f"{kind}.in_run.{sensor}")
             if ratio is not None and is_unusual(ratio):
                 wander = with_unit(ratio.value * size.value, unit)
                 sentence = f"{kind}.bias.{sensor} wanders by {wander}, those of the other {words} by {in_run}{IN_U}"
-                yield Finding(sentence=sentence, concerns=bias, causes=("wandering sensor",))
+                yield Finding(sentence=sentence, concerns=bias, causes=("wandering sensor",), unsteady=True)

@@ -16,9 +16,9 @@ import polars as pl
 
 from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is_text
 from tumble.drafting.dialects import copy_as_tables
-from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog, StatedColumns
+from tumble.drafting.foreign_log import HEAD_ROWS, LONGEST, SAMPLE_ROWS, ForeignLog, StatedColumns
 from tumble.drafting.repairs import nanoseconds_column, with_signs
-from tumble.drafting.sensors_apart import are_sensors_apart, join_sensors
+from tumble.drafting.sensors_apart import are_sensors_apart, join_sensors, of_one_device
 from tumble.drafting.times import grows_mostly, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
@@ -35,13 +35,18 @@ _NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 def identify_log(
-    files: Sequence[Path], folder: OutputFolder, stated: StatedColumns = _NOTHING, units: Mapping[str, str] = _NOTHING
+    files: Sequence[Path],
+    folder: OutputFolder,
+    stated: StatedColumns = _NOTHING,
+    units: Mapping[str, str] = _NOTHING,
+    instance: str | None = None,
 ) -> ForeignLog:
     """Return one log of text and Parquet files, with its columns identified.
 
-    `stated` and `units` are the user's statements by role and by kind of sensor. Files in one dialect whose columns
-    have no meaningful names are identified together, because one position is not enough to recognise sensors. Raises
-    InputError for files that are no logs, or are in different dialects."""
+    `stated` and `units` are the user's statements by role and by kind of sensor; `instance` names one of several
+    devices in a table, by default the first. Files in one dialect whose columns have no meaningful names are identified
+    together, because one position is not enough to recognise sensors. Raises InputError for files that are no logs, or
+    are in different dialects."""
     logs: list[ForeignLog] = []
     errors: list[NoLogError] = []
     omitted: tuple[str, ...] = ()
@@ -54,8 +59,9 @@ def identify_log(
             omitted += (f"{file.name} has no rows of readings and is left out",)
     if not logs:
         raise errors[0]
+    logs = [of_one_device(log, _numeric_columns(log), instance) for log in logs]
     logs = [_without_empty_thermometers(_with_finest_time(log)) for log in logs]
-    parts = _parts_with_own_times(logs[0]) if len(logs) == 1 else []
+    parts = _parts_with_own_times(logs[0]) or _parts_in_own_rows(logs[0]) if len(logs) == 1 else []
     if parts or are_sensors_apart(logs):
         joined = join_sensors(parts or logs, folder)
         return replace(joined, remarks=(*joined.remarks, *omitted))
@@ -72,7 +78,10 @@ def identify_log(
     logs = [_with_columns_by_data(_with_time(_with_gravity(log)) if log in named else log) for log in logs]
     first = logs[0]
     for log in logs[1:]:
-        if (log.keys, log.columns.triads, log.columns.time) != (first.keys, first.columns.triads, first.columns.time):
+        written, first_written = (
+            (each.keys, each.columns.triads, each.columns.time, each.instance) for each in (log, first)
+        )
+        if written != first_written:
             raise InputError(
                 f"{log.files[0]}: expected a log written as {first.files[0].name} is, found another; give them to "
                 "sessions of their own"
@@ -236,6 +245,17 @@ def _parts_with_own_times(log: ForeignLog) -> list[ForeignLog]:
         unit = log.columns.time_unit if before.isdecimal() else time_unit(before)
         parts.append(log.with_columns(time=before, time_unit=unit, triads={kind: sensors}))
     return parts if len({part.columns.time for part in parts}) > 1 else []
+
+
+def _parts_in_own_rows(log: ForeignLog) -> list[ForeignLog]:
+    """Return a log for each kind of sensor if most rows have readings of one kind only."""
+    triads = {kind: log.columns.triads[kind] for kind in (ACCEL, GYRO) if kind in log.columns.triads}
+    if len(triads) < 2 or log.columns.time is None:
+        return []
+    read = np.array([np.isfinite(log.read(s.columns, rows=HEAD_ROWS)).all(axis=1) for s in triads.values()])
+    if 2 * np.count_nonzero(read.all(axis=0)) >= np.count_nonzero(read.any(axis=0)) or not read.any(axis=1).all():
+        return []
+    return [log.with_columns(triads={kind: sensors}) for kind, sensors in triads.items()]
 
 
 def _with_time(log: ForeignLog) -> ForeignLog:

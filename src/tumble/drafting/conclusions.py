@@ -12,16 +12,18 @@ import numpy as np
 
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_text
 from tumble.drafting.draft import Draft
+from tumble.drafting.foreign_log import linear_acceleration
 from tumble.drafting.hypotheses import Evidence, Hypothesis, gather_evidence, ranked_hypotheses
-from tumble.errors import InputError, TumbleError
+from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO, WITHOUT_GRAVITY
 from tumble.recording.columns.scales import COUNTS_PER, COUNTS_PER_SI, SensorScale
+from tumble.recording.session import USUAL_RATE_U
 from tumble.run.observed import Progress, inspect_session
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
 
 _GRAVITY_TOLERANCE = 0.3  # of gravity, for accelerometers in a stated unit
 _LARGEST_BIAS = 20.0  # °/s; gyros that read more at rest have an offset
-_MOST_RATES = 8  # rates listed in a doubt
+_MOST_RIVALS = 3  # listed in a doubt, the likeliest
 _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
 
@@ -38,6 +40,10 @@ def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS) ->
         log[ACCEL], accel_remarks = _accel_table(draft, best, evidence)
         remarks += accel_remarks
     if best.gyro is not None:
+        if draft.rate_guessed and best.profile is not None:  # the other rates that the turns fit are in u
+            rates = [h.times.rate for h in rivals if h.gyro == best.gyro]
+            rate_u = max((abs(math.log(rate / best.times.rate)) for rate in rates), default=0.0)
+            log |= {"clock_ppm_u": round(1e6 * min(rate_u, 1.0))} if rate_u > USUAL_RATE_U else {}
         log[GYRO], gyro_remarks = _gyro_table(draft, best, best.gyro, evidence, rivals)
         remarks += gyro_remarks
     doubts = (*_doubts_of_gravity(draft, best, evidence), *_doubts_of_units(draft, log, best, rivals), *draft.doubts)
@@ -79,10 +85,7 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> It
         not best.accel.listed or abs(evidence.length / best.accel.reading(best.times.rate) - 1.0) > _GRAVITY_TOLERANCE
     ):
         if WITHOUT_GRAVITY.search(columns[0]):
-            raise InputError(
-                f"{draft.files[0]}: expected readings of accelerometers, found linear acceleration, which a filter has "
-                f"taken gravity off ({', '.join(columns)[:120]}); log the raw accelerometers"
-            )
+            raise linear_acceleration(draft.files[0], columns)
         finding = "the accelerometers read no whole numbers as counts are, and gravity in no unit"
         if evidence.rests >= 4 and evidence.length_u < _GRAVITY_TOLERANCE:
             rests = f"rests in several attitudes read {evidence.length:.4g} per g, which is taken for their scale"
@@ -103,8 +106,20 @@ def _doubts_of_units(
             continue
         only = "the accelerometers alone are calibrated, " if ACCEL in draft.triads else ""
         scales = [h.accel if kind == ACCEL else h.gyro for h in rivals if kind in h.differs(best)]
-        others = " or ".join(dict.fromkeys(rival.label for rival in scales if rival is not None and rival.listed))
-        if log[kind]["unit"] == "count" and "scale" not in log[kind]:
+        labels = dict.fromkeys(rival.label for rival in scales if rival is not None and rival.listed)
+        others = " or ".join(list(labels)[:_MOST_RIVALS])
+        unscaled = log[kind]["unit"] == "count" and "scale" not in log[kind]
+        if unscaled and draft.rate_guessed and best.profile is not None:
+            pairs = [(h.gyro.value, h.times.rate) for h in (best, *rivals) if h.gyro is not None and h.gyro.listed]
+            rate_of = dict(reversed(pairs))  # the likeliest of each scale
+            values = list(dict.fromkeys(value for value, _ in pairs))[:_MOST_RIVALS]
+            fitting = ", ".join(f"{value:g} per deg/s at {rate_of[value]:g} Hz" for value in values)
+            yield (
+                f"the rate of the samples is unknown, and with it the scale of the gyros' counts ({fitting} fit): "
+                f"{only}state --sample-rate"
+            )
+            return
+        if unscaled:
             yield (
                 f"no turn determines the scale of the gyros' counts: {only}noise is given as if a count were 1 deg/s; "
                 "put the scale of the data sheet into [log.gyro]"
@@ -117,7 +132,7 @@ def _doubts_of_units(
     rates = [h.times.rate for h in rivals if "time" in h.differs(best)]
     if draft.rate_guessed or rates:
         how = "by the turns" if best.profile is not None else "by a guess"
-        others = ", ".join(f"{rate:g}" for rate in list(dict.fromkeys(rates))[:_MOST_RATES])
+        others = ", ".join(f"{rate:g}" for rate in list(dict.fromkeys(rates))[:_MOST_RIVALS])
         also = f", {others} would fit too" if rates else ""
         follows = "the gyros' scale factors depend" if best.gyro is not None else "the length of rests depends"
         yield f"{best.times.rate:g} samples per second {how}{also}: {follows} on it; state --sample-rate"
@@ -200,9 +215,9 @@ def _gyro_table(
     if gyro.unit is not None and stated == gyro.unit:
         return table, [f"{subject} {gyro.unit} (from the name or the format)"]
     scales = {h.gyro.value for h in rivals if h.gyro is not None and h.gyro.listed and h.gyro.unit is None}
-    # a single turn at an unknown rate gives the product of scale and rate
-    single = evidence.turns == 1 and not draft.rate_guessed
-    undecided = single and gyro.unit is None and bool(scales - {gyro.value})
+    # turns at an unknown rate give the product of scale and rate
+    unsure = evidence.turns == 1 or draft.rate_guessed
+    undecided = unsure and gyro.unit is None and bool(scales - {gyro.value})
     if best.profile is not None and not undecided:
         by = f"by {evidence.turns} turns" if evidence.turns > 1 else "by one turn"
         remark = f"{subject} {_scale_remark(GYRO, gyro, evidence, best)} ({by})"
@@ -212,7 +227,8 @@ def _gyro_table(
         return _raw_table(columns, gyro.value, "deg/s", offset), [remark]
     if gyro.unit is None:
         fitting = " or ".join(f"{value:.6g}" for value in sorted(scales | {gyro.value}))
-        reason = f"{fitting} per deg/s fit the only turn" if undecided else "no turns show it"
+        turns = "only turn" if evidence.turns == 1 else "turns, each at another rate"
+        reason = f"{fitting} per deg/s fit the {turns}" if undecided else "no turns show it"
         unknown = f"the offset is their reading at rest, the scale is unknown, for {reason}"
         counts = {"columns": columns, "unit": "count", "scale_per": "deg/s", "offset": bias}
         return counts, [f"{subject} counts; {unknown}: put that of the data sheet there"]

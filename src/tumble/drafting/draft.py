@@ -82,7 +82,11 @@ def session_text(draft: Draft, folder: Path, programme: str | None, *, named: bo
     environment = Environment(trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, autoescape=False)
     environment.filters["toml"] = partial(json.dumps, ensure_ascii=False)
     files = [os.path.relpath(file, folder.resolve()) for file in draft.files]
-    keys = (key for key in (*DIALECT_KEYS, "time", "time_unit", "regular", "rate_hz", "doubt") if key in draft.log)
+    keys = (
+        key
+        for key in (*DIALECT_KEYS, "time", "time_unit", "regular", "rate_hz", "clock_ppm_u", "doubt")
+        if key in draft.log
+    )
     return environment.from_string((Path(__file__).parent / "session.toml.j2").read_text(encoding="utf-8")).render(
         device=draft.content["device"],
         site=draft.content.get("site", {}),

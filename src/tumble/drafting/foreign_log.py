@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 
 from tumble.drafting.times import Stamps, Times, is_rounded, times_of_column, times_without_column
 from tumble.errors import GyrosAloneError, InputError, LogError, did_you_mean
@@ -37,7 +38,8 @@ LONGEST = 2_000_000  # rows that are read to identify a log
 HEAD_ROWS = 20_000
 SAMPLE_ROWS = 200
 SHOWN_NAMES = 12  # in a message
-_FILTERED = re.compile(r"grav|(user|free|linear)_?acc(?!.*cov)|\blacc", re.IGNORECASE)
+_GRAVITY = re.compile("grav", re.IGNORECASE)
+_LINEAR = re.compile(r"(user|free|linear)_?acc(?!.*cov)|\blacc", re.IGNORECASE)
 _GRAVITY_TOLERANCE = 0.1  # of gravity
 _FEWEST_ROWS = 50
 _SHORTEST_SESSION = 4 * USUAL.rest  # s, the time of four rests; fewer determine nothing
@@ -51,8 +53,9 @@ class ForeignLog:
     """Files in one dialect, with identified columns.
 
     `keys` are the keys of [log] that describe the text, `preamble` the lines above the numbers that are neither names
-    nor units, `cells` the first rows by column, `remarks` and `doubts` sentences for the user, and `kept` the readers
-    already opened, by path."""
+    nor units, `cells` the first rows by column, `remarks` and `doubts` sentences for the user, `instance` the column
+    that separates several devices in the rows, with the value of the one that is read, and `kept` the readers already
+    opened, by path."""
 
     files: tuple[Path, ...]
     keys: Mapping[str, Any]
@@ -62,6 +65,7 @@ class ForeignLog:
     remarks: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     dialect: Dialect | None = None
+    instance: Mapping[str, float] = field(default_factory=dict)
     kept: dict[Path, LogSource] = field(default_factory=dict)
 
     def with_columns(self, remarks: Sequence[str] = (), /, **changed: Any) -> ForeignLog:
@@ -100,16 +104,20 @@ class ForeignLog:
         named = self.columns
         sensors = [c for kind in (ACCEL, GYRO) if kind in named.triads for c in named.triads[kind].columns]
         together = [c for c in (named.time, *sensors) if c is not None]
-        wanted = together if set(columns) <= set(together) else columns
+        wanted = list(dict.fromkeys((*(together if set(columns) <= set(together) else columns), *self.instance)))
         parts, count = [np.empty((0, len(columns)))], 0
         for source in self.sources():
             for table, _ in source.tables(wanted, self.clock if self.clock in wanted else None):
-                numbers = table.select(columns).to_numpy()[: rows - count]
+                numbers = self.rows_of_instance(table).select(columns).to_numpy()[: rows - count]
                 parts.append(np.where(is_reading(numbers), numbers, np.nan))
                 count += len(numbers)
                 if count >= rows:
                     return np.concatenate(parts)
         return np.concatenate(parts)
+
+    def rows_of_instance(self, rows: pl.DataFrame) -> pl.DataFrame:
+        """Return the rows of the instance that is read; all rows without instances."""
+        return rows.filter(**self.instance) if self.instance else rows
 
     def readings(self, column: str) -> Array:
         """Return the numbers of a column in the first rows, or in all rows if the first rows have none."""
@@ -231,6 +239,8 @@ class ForeignLog:
                 f"{self.files[0]}: expected a recording, found a table of {rows} rows; a table of mean readings, a row "
                 f"a position, is calibrated by `tumble ellipsoid {name}`"
             )
+        if ACCEL not in triads and (linear := list(filter(_LINEAR.search, names))):
+            raise linear_acceleration(self.files[0], linear)
         if ACCEL in triads or (gyros_suffice and GYRO in triads):
             return
         found, field = ", ".join(names[:SHOWN_NAMES])[:200], triads.get(MAGNETOMETER)
@@ -245,11 +255,19 @@ class ForeignLog:
         elif len(names) == 3 and all(map(str.isdecimal, names)):
             expected, found = "a recording", "three columns without names that are no sensor by their numbers"
             remedy = "of a table with a row a position write `x,y,z` above the rows and give it to `tumble ellipsoid`"
-        elif any(_FILTERED.search(n) for n in names):
+        elif any(map(_GRAVITY.search, names)):
             expected = "readings of accelerometers"
-            found = f"gravity and acceleration without it, which a filter has made of them ({found[:120]})"
+            found = f"gravity, which a filter has made of them ({found[:120]})"
             remedy = "log the raw accelerometers"
         elif sum(not is_no_sensor(n) for n in names) >= 3:
             remedy = "state which they are (--accel N,N,N, names or numbers from 1)"
         kind = GyrosAloneError if GYRO in triads else InputError
         raise kind(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
+
+
+def linear_acceleration(file: Path, columns: Sequence[str]) -> InputError:
+    """Return the error for accelerations without gravity in place of accelerometers."""
+    return InputError(
+        f"{file}: expected readings of accelerometers, found linear acceleration, which a filter has taken gravity off "
+        f"({', '.join(columns)[:120]}); log the raw accelerometers"
+    )

@@ -3,7 +3,8 @@
 `made.json` in the session's folder has the hash of the log, the stated options, the version, and the files made. The
 same log with the same options, or none, has the same session, with any corrections by hand; a renamed log keeps the
 serial number of its first name unless one is stated. With other options the session is made anew, unless it was
-corrected by hand.
+corrected by hand, and its calibration is kept under another name; a command that only reads makes it in a folder for
+the time being.
 """
 
 from __future__ import annotations
@@ -17,14 +18,16 @@ import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
+from itertools import count
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from tumble import __version__
 from tumble.drafting.containers import files_of
 from tumble.drafting.new_session import Given, written_session
 from tumble.errors import InputError
-from tumble.files import in_use, nothing_left, whole_file
+from tumble.files import OutputFolder, in_use, nothing_left, whole_file
 from tumble.recording.log_source import readable
 from tumble.recording.session_file import SESSION_FILE
 from tumble.run.observed import Progress
@@ -34,11 +37,14 @@ _RESULT = "calibration.json"
 
 
 @contextmanager
-def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tuple[Path, str, Sequence[str]]]:
+def session_of_log(
+    log: Path, given: Given, progress: Progress, *, reads_only: bool = False
+) -> Iterator[tuple[Path, str, Sequence[str]]]:
     """Yield the folder of the session of a log, its origin in words, and remarks on each part.
 
-    A session that is made here is removed, or the former one put back, if the block fails. Raises InputError for a log
-    that cannot be read, and if a session corrected by hand would be made anew."""
+    A session that is made here is removed, or the former one put back, if the block fails. With `reads_only` a session
+    made with other options stays. Raises InputError for a log that cannot be read, and if a session corrected by hand
+    would be made anew."""
     log = log if log.name else log.resolve()
     stem = re.sub(r"[*?\[\]]", "", log.name)
     for ending in (".gz", ".zst"):
@@ -65,15 +71,28 @@ def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tupl
             with in_use(folder, shared=True):
                 yield folder, f"{folder / SESSION_FILE}: the session made of this log before{whose}{by_hand}", []
             return
+        before = made.get("given", {})
+        other = [key for key in {**before, **content["given"]} if before.get(key) != content["given"].get(key)]
+        options = ", ".join(f"--{key}" for key in other).replace("_", "-")
+        others = f" ({options})" if other else ""
         if edited:
             raise InputError(
-                f"{folder}: expected the options with which the session of this log was made, found others, and the "
-                f"session corrected by hand; calibrate it as it is (tumble calibrate {folder}), or remove it"
+                f"{folder}: expected the options with which the session of this log was made, found others{others}, "
+                f"and the session corrected by hand; calibrate it as it is (tumble calibrate {folder}), or remove it"
             )
+        if reads_only:
+            beside = log.parent if os.access(log.parent, os.W_OK) else None
+            with TemporaryDirectory(prefix=".tumble-", dir=beside) as temporary:
+                draft, _ = written_session(OutputFolder(Path(temporary)), log, given, progress)
+                state = f"{folder} is of other options or another version{others} and stays; the log is read anew"
+                yield Path(temporary), state, draft.remarks
+            return
         origin = (
-            f"{folder}: made anew, with other options or by another version, in place of the session of serial number "
-            f"{former!r}; "
+            f"{folder}: made anew, with other options or by another version{others}, in place of the session of serial "
+            f"number {former!r}; "
         )
+        if (folder / _RESULT).exists():
+            origin += f"its calibration is kept as {_former_result(folder)}; "
     else:
         with in_use(first, shared=True):  # it may be being made
             pass
@@ -121,11 +140,19 @@ def _bring_back(folder: Path) -> None:
                 shutil.rmtree(folder, ignore_errors=True)
                 aside.rename(folder)
                 continue
-            old = {*_made(aside).get("files", []), MADE, _RESULT}
+            old = {*_made(aside).get("files", []), MADE}
+            with suppress(FileNotFoundError):
+                (aside / _RESULT).rename(aside / _former_result(aside))
             for file in aside.iterdir():
                 if file.name not in old and not (folder / file.name).exists():
                     file.rename(folder / file.name)
             shutil.rmtree(aside)
+
+
+def _former_result(folder: Path) -> str:
+    """Return the name under which the calibration in a folder is kept where the session is made anew."""
+    names = (f"calibration-{number}.json" for number in count(1))
+    return next(name for name in names if not (folder / name).exists())
 
 
 def _made(folder: Path) -> dict[str, Any]:

@@ -56,7 +56,7 @@ class Given:
     """Statements of the user about a log.
 
     `latitude` is in °, `height` in m, `sample_rate` in Hz; `message` names a message of a recording; columns are names
-    or numbers from 1."""
+    or numbers from 1. Raises InputError for numbers and programmes that cannot be."""
 
     serial: str | None = None
     latitude: float | None = None
@@ -69,6 +69,17 @@ class Given:
     time: str | None = None
     accel_unit: str | None = None
     gyro_unit: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.programme is not None and self.programme not in programmes():
+            raise InputError(f"--programme: expected one of {', '.join(programmes())}, found {self.programme!r}")
+        for option, number, least, most, words in (
+            ("latitude", self.latitude, -90.0, 90.0, "from -90 to 90"),
+            ("height", self.height, -1000.0, 10000.0, "from -1000 to 10000, m"),
+            ("sample-rate", self.sample_rate, 1e-6, 1e9, "from 1e-6 to 1e9 (Hz)"),
+        ):
+            if number is not None and not least <= number <= most:
+                raise InputError(f"--{option}: expected a number {words}, found {number:g}")
 
     @property
     def units(self) -> dict[str, str]:
@@ -169,22 +180,13 @@ def drafted_log(
     Copies of logs are written into the folder."""
     listed = [logs] if isinstance(logs, str | os.PathLike) else logs
     files = [file for log in listed for file in files_of(Path(log))]
-    if given.programme is not None and given.programme not in programmes():
-        raise InputError(f"--programme: expected one of {', '.join(programmes())}, found {given.programme!r}")
-    for option, number, least, most, words in (
-        ("latitude", given.latitude, -90.0, 90.0, "from -90 to 90"),
-        ("height", given.height, -1000.0, 10000.0, "from -1000 to 10000, m"),
-        ("sample-rate", given.sample_rate, 1e-6, 1e9, "from 1e-6 to 1e9 (Hz)"),
-    ):
-        if number is not None and not least <= number <= most:
-            raise InputError(f"--{option}: expected a number {words}, found {number:g}")
     files = [inner for file in files for inner in unzipped(file, folder)]
     imu: Mapping[str, AutopilotSensor] = {}
     recordings = [file for file in files if is_recording(file) or file.is_dir()]
     for file in filter(Path.is_file, recordings):
         check_format(file, recording=True)
     if not recordings:
-        log = identify_log(files, folder, given.columns, given.units)
+        log = identify_log(files, folder, given.columns, given.units, given.message)
         log.check_has_sensors(gyros_suffice=gyros_suffice)
     elif given.columns or given.units:
         options = [*given.columns, *(f"{kind}-unit" for kind in given.units)]

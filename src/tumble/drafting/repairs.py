@@ -48,6 +48,11 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
     for kind, sensors in triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
+    if log.instance:
+        time = [column for column in (log.columns.time, nanoseconds_column(log)) if column is not None]
+        ((column, value),) = log.instance.items()
+        repair = f"rows: those with {value:g} in column {column!r}, of one device", log.rows_of_instance
+        return repair_log(_copy(log, folder, [*time, column], [repair]), folder, rate)
     stamps = log.stamps()
     if stamps is not None and len(stamps.values) >= _FEWEST_ROWS and grows_mostly(-stamps.values):
         remark = f"time: column {stamps.column!r} falls from row to row: rows put in the order of time"
@@ -222,11 +227,10 @@ def with_signs(columns: Array) -> Array:
 def _restore_signs(log: ForeignLog) -> list[Repair]:
     """Subtract 65536 from negative 16-bit numbers that were read as unsigned."""
     triads = [triad.columns for triad in log.columns.triads.values() if _are_unsigned(log.read(triad.columns))]
-    if not triads:
-        return []
     names = [name for columns in triads for name in columns]
     remark = f"{', '.join(names)}: 16-bit numbers read without their sign: 65536 taken off where it is due"
-    return [(remark, lambda rows: rows.with_columns(pl.col(names) - _WRAP * (pl.col(names) >= _SIGN)))]
+    restore = pl.col(names) - _WRAP * (pl.col(names) >= _SIGN)
+    return [(remark, lambda rows: rows.with_columns(restore))] if names else []
 
 
 # -------------------- positions without turns between them --------------------

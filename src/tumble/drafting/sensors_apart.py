@@ -1,19 +1,20 @@
-"""One log from separate sensors: messages of a binary recording, or accelerometers and gyros of a phone in one file
-each."""
+"""One log from separate sensors: messages of a binary recording, one of several devices in a table, or accelerometers
+and gyros of a phone in one file each."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import polars as pl
 
-from tumble.drafting.foreign_log import SHOWN_NAMES, ForeignLog
-from tumble.drafting.times import grows_mostly, recordings_of, times_of_column
-from tumble.errors import InputError
+from tumble.drafting.foreign_log import SAMPLE_ROWS, SHOWN_NAMES, ForeignLog
+from tumble.drafting.times import are_even, grows_mostly, recordings_of, times_of_column
+from tumble.errors import InputError, LogError
 from tumble.files import OutputFolder
 from tumble.recording.columns.names import (
     ACCEL,
@@ -29,7 +30,7 @@ from tumble.recording.columns.names import (
 from tumble.recording.columns.numbers import time_by_data
 from tumble.recording.formats import TIME, Message, messages, write_log
 from tumble.recording.session import AutopilotSensor
-from tumble.units import TIME_UNITS
+from tumble.units import TIME_UNITS, Array
 
 _UNCALIBRATED = re.compile(r"uncal", re.IGNORECASE)
 CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
@@ -84,6 +85,66 @@ def _belong_together(accel: Message, gyro: Message) -> bool:
     instances = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
     same = not all(map(str.isdecimal, instances)) or instances[0] == instances[1]
     return accel.timed and gyro.timed and same
+
+
+# -------------------- several devices in a table --------------------
+
+_INSTANCE = re.compile(
+    r"i|id|(imu|sensor|device|dev|node|board|chip|inst(ance)?)[ _.]?(id|idx|index|no|nr|num(ber)?|inst(ance)?)?",
+    re.IGNORECASE,
+)
+"""Names of columns that separate devices, such as the field I of ArduPilot's messages."""
+_MOST_DEVICES = 8
+_WINDOWS, _FILLED_SHARE = 20, 0.9
+"""Windows of a recording, and the least share of them in which a device has half its usual rows or more."""
+
+
+def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> ForeignLog:
+    """Return the log with the rows of one device if a column of few whole numbers separates several.
+
+    `numeric` are the columns of numbers; `name` is that of a device, by default the first. Each device has rows all the
+    time, other than the values of a label or a state. A column without a name that says so separates devices only if
+    their stamps are even by themselves, and not together."""
+    named = log.columns
+    taken = {named.time, *named.times, *named.temperatures, *(c for s in named.triads.values() for c in s.columns)}
+    free = [column for column in numeric if column not in taken]
+    for column in sorted(free, key=lambda column: not _INSTANCE.fullmatch(column)):
+        cells = log.cells.get(column) or log.readings(column)[:SAMPLE_ROWS].tolist()
+        is_named, changes = _INSTANCE.fullmatch(column) is not None, sum(a != b for a, b in pairwise(cells))
+        if len(set(cells)) > _MOST_DEVICES or not (is_named or 4 * changes > len(cells)):
+            continue
+        try:
+            table = log.read([column, *([] if named.time is None else [named.time])])
+        except LogError:  # of empty values
+            continue
+        table = table[np.isfinite(table).all(axis=1)]
+        values = np.unique(table[:, 0])
+        times = np.arange(len(table), dtype=float) if named.time is None else table[:, -1]
+        by_device = [times[table[:, 0] == value] for value in values]
+        if not 2 <= len(values) <= _MOST_DEVICES or (values % 1.0).any():
+            continue
+        if not all(_lasts(each, times) for each in by_device):
+            continue
+        if not is_named and (named.time is None or are_even(times) or not all(map(are_even, by_device))):
+            continue
+        names = [f"{column}.{value:g}" for value in values]
+        if name not in (None, *names):
+            raise InputError(f"{log.files[0]}: expected a message {name!r}, found {', '.join(names)}")
+        first = names.index(name) if name else 0
+        others = ", ".join(other for other in names if other != names[first])
+        remark = f"several devices by column {column!r}, of which {names[first]} is taken"
+        return replace(
+            log,
+            instance={column: float(values[first])},
+            remarks=(*log.remarks, f"{remark}; also there, and not used: {others} (--message takes another)"),
+        )
+    return log
+
+
+def _lasts(times: Array, all_times: Array) -> bool:
+    """Return whether stamps of one device grow, and are as many in all parts of a recording."""
+    counts, _ = np.histogram(times, _WINDOWS, (all_times.min(), all_times.max()))
+    return grows_mostly(times) and bool(np.mean(2 * counts >= counts.mean()) >= _FILLED_SHARE)
 
 
 # -------------------- files of one kind of sensor each --------------------
@@ -189,6 +250,10 @@ def _message(log: ForeignLog, kind: str) -> Message:
     """Return the three sensors of one kind in a log with their times, s, as a message."""
     log, source = _time_and_axes(log, kind)
     stamps = log.stamps()
+    table = log.read([column for column in (log.columns.time, *source) if column is not None])
+    whole = np.isfinite(table).all(axis=1)
+    if stamps is not None:  # of the rows of these sensors
+        stamps = replace(stamps, values=stamps.values[whole])
     times = None if stamps is None else times_of_column(stamps)
     if not source or stamps is None or times is None:
         raise InputError(
@@ -197,8 +262,7 @@ def _message(log: ForeignLog, kind: str) -> Message:
         )
     unit = unit_of_name(kind, source[0]) or unit_of_name(kind, f"{'acc' if kind == ACCEL else 'gyro'} {source[0]}")
     x, y, z = (f"{kind}_{axis}" for axis in "xyz")
-    table = log.read([stamps.column, *source])
-    table = table[np.isfinite(table).all(axis=1)]
+    table = table[whole]
     first, *further = recordings_of(table[:, 0]) or [(0, len(table))]
     table = table[slice(*first)]
     if further:

@@ -168,6 +168,13 @@ def _typical_step(steps: Array) -> float:
     return mean if median <= 1e-6 * mean or coarse else median
 
 
+def are_even(values: Array) -> bool:
+    """Return whether stamps are usable as a clock."""
+    steps = np.diff(values)
+    typical = _typical_step(steps)
+    return typical > 0.0 and _fault_of_stamps(steps / typical) is None
+
+
 def _fault_of_stamps(steps: Array) -> str | None:
     """Return why stamps are unusable as a clock, from steps in units of the typical one; None if they are even."""
     tolerated = _IRREGULAR_FREE + _IRREGULAR_SHARE * len(steps)

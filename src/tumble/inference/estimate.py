@@ -70,12 +70,17 @@ class Outcome(Judgement):
 
     `reasons` and `remarks` are all sentences, with the sensors at fault first. `concerns` has the kinds of sensors
     ("gyro") or groups of parameters ("gyro.bias") of a sentence that does not concern the whole estimate, so that
-    accelerometers remain usable with bad gyros, and scale factors with bad biases."""
+    accelerometers remain usable with bad gyros, and scale factors with bad biases. `unsteady` are the remarks that
+    parameters changed while they were recorded, or from launch to launch, by more than is usual."""
 
-    json_fields = ("accepted", "verdict", "reasons", "remarks", "unobservable", "concerns", "accel", "gyro", "groups")
+    json_fields = (
+        *("accepted", "verdict", "reasons", "remarks", "unobservable", "concerns", "unsteady"),
+        *("accel", "gyro", "groups"),
+    )
 
     unobservable: tuple[str, ...] = ()
     concerns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    unsteady: tuple[str, ...] = ()
 
     @property
     def accel(self) -> Judgement:
@@ -97,6 +102,10 @@ class Outcome(Judgement):
             return any(f"{part}.".startswith(f"{other}.") or other.startswith(f"{part}.") for other in parts)
 
         return Judgement(reasons=tuple(filter(concerns, self.reasons)), remarks=tuple(filter(concerns, self.remarks)))
+
+    def is_unsteady(self, part: str) -> bool:
+        """Return whether a kind of sensors or a group of parameters changed by more than is usual."""
+        return not {*self.of(part).remarks}.isdisjoint(self.unsteady)
 
     @property
     def groups(self) -> dict[str, Judgement]:

@@ -572,7 +572,7 @@ def _size_densities(fitted: Maximum, sizes: list[int]) -> dict[int, Density]:
     S = usual * np.exp(np.maximum(phi[element], 0.0))
     at_maximum = Folded.of(triangle.information[0], triangle.right[0], S[None])
     covariance, value = at_maximum.covariance(np.ones(1)), at_maximum.values[0]
-    learned, one = quadratic_forms(hyperparameters, fitted.solution)[1], int(np.argmin(np.abs(KNOTS - 1.0)))
+    learned = quadratic_forms(hyperparameters, fitted.solution)[1]
     for i in sizes:
         h, at_bound, group = hyperparameters[i], phi[i] <= 0.0, np.flatnonzero(element == i)
         curvature = 2.0 * float(learned[i]) + h.within**-2 if at_bound else fitted.curvature[i, i]
@@ -581,10 +581,10 @@ def _size_densities(fitted: Maximum, sizes: list[int]) -> dict[int, Density]:
         precision = np.asarray(np.linalg.inv(covariance[np.ix_(group, group)]))  # with the priors of other groups
         sized = usual[group] * np.exp(p)[:, None]
         folded = Folded.of(precision - np.diag(S[group] ** -2), precision @ value[group], sized)
-        if at_bound:
-            variance = np.diag(folded.covariance(np.eye(len(p))[one])) / sized[one] ** 2
-            if 2.0 * np.clip(1.0 - variance, 0.0, 1.0).sum() <= INFORMATIVE_GROUP:
-                continue
+        one = int(np.argmin(np.abs(p - max(phi[i], 0.0) - size)))
+        variance = np.diag(folded.covariance(np.eye(len(p))[one])) / sized[one] ** 2
+        if 2.0 * np.clip(1.0 - variance, 0.0, 1.0).sum() <= INFORMATIVE_GROUP:
+            continue
         grid = np.linspace(-3.0 * h.within, p[-1], GRID)
         likelihood = np.interp(grid, p, folded.log_likelihood - folded.log_likelihood[0])
         out[i] = Density.of(grid, likelihood + h.log_prior(grid)[0])

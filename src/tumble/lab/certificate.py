@@ -12,6 +12,7 @@ country = "RU"
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
@@ -25,7 +26,7 @@ from tumble.documents import is_plain, shown, text_of_document, toml_of, validat
 from tumble.errors import InputError
 from tumble.lab.limits import Limits, Occasion, read_limits
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.further import recording_dates
+from tumble.result.further import recording_dates, remarks
 from tumble.result.parts import SERIAL_NOT_STATED
 
 SCOPE_STATEMENT = (
@@ -62,6 +63,16 @@ _Path = Annotated[_Str, Field(min_length=1)]
 
 _ACCREDITED = ("procedure", "traceability", "issued")
 """Keys required in a certificate under accreditation (ISO/IEC 17025, 7.8)."""
+
+
+_COMMANDS = ("[", "`", "--", "tumble ", " = true")  # marks of clauses with keys, commands and options
+_ASIDE = re.compile(r" \([^()]*(?:--|`|\[)[^()]*\)|, (?:and|or) (?=[^;:]*(?:--|`|\[))[^;:]*")
+_CLAUSE = re.compile(r"([;:] |\. (?=[A-Z]))")
+_ADVICE = re.compile(
+    r"(?:calibrate|come|correct|fasten|for others turn|For values|give|is the|leave|let|longer rests|look|make|"
+    r"measure|otherwise|put|record (?:it|more)|rests in|state|switch|take|turn (?:smoothly|at)|wait|write)\b"
+)
+"""Beginnings of clauses that advise the operator of the program."""
 
 
 class _CertificateTable(BaseModel):
@@ -103,7 +114,8 @@ class Certificate(_CertificateTable):
     Without `begin` and `end` the date is that of the recording. `state` is that of the item when it was calibrated,
     `as_found` the calibration file from before an adjustment. `limits` is a file of acceptance limits, `check` selects
     one of its checks, `agreed` is the agreement on limits and decision rule, `traceability` that of gravity, time and
-    table; `replaces` is the number of an earlier certificate. Keys with a title are shown on the first page."""
+    table; `changed` is what the laboratory states on a device that changed while it was recorded; `replaces` is the
+    number of an earlier certificate. Keys with a title are shown on the first page."""
 
     number: _Text
     country: _Country
@@ -120,6 +132,7 @@ class Certificate(_CertificateTable):
     agreed: _Text | None = None
     traceability: tuple[_Str, ...] = Field(default=(), strict=False)
     remarks: tuple[_Str, ...] = Field(default=(), strict=False)
+    changed: _Text | None = None
     replaces: _Text | None = Field(default=None, title="replaces certificate")
     laboratory: Party
     customer: Party
@@ -170,16 +183,45 @@ class Certificate(_CertificateTable):
         )
 
 
+def for_reader(sentence: str) -> str:
+    """Return a sentence of a calibration without advice to the operator, for the reader of a certificate."""
+    first, *others = _CLAUSE.split(_ASIDE.sub("", sentence))
+    kept = "" if any(mark in first for mark in _COMMANDS) else first
+    for separator, clause in zip(others[::2], others[1::2], strict=True):
+        if not (_ADVICE.match(clause) or any(mark in clause for mark in _COMMANDS)):
+            kept += f"{separator}{clause}" if kept else clause
+    return kept.replace("probable cause: ", "what would explain the residuals: ")
+
+
+def statements_of_result(calibration: Calibration) -> list[str]:
+    """Return what bears on the use of a result beside its remarks, for the reader of a certificate."""
+    origin = calibration.provenance
+    sentences = (*remarks(calibration), *origin.assumptions, *origin.notes)
+    return [each for each in map(for_reader, sentences) if each]
+
+
 def check_certificate(certificate: Certificate, calibration: Calibration) -> Calibration | None:
     """Check that a certificate is consistent with its calibration.
 
     The item must be received before it is calibrated and calibrated before the certificate is issued, all recordings
-    must be within the days of the calibration, and the calibration as found must be of the same device, in the same
-    frame and recorded earlier. Returns the calibration as found, None without. Raises InputError."""
+    must be within the days of the calibration, scale factors in SI, and a change of the device needs a statement. The
+    calibration as found must be of the same device, in the same frame and recorded earlier; it is returned, None
+    without. Raises InputError."""
     if any(note.startswith(SERIAL_NOT_STATED) for note in calibration.provenance.notes):
         raise InputError(
             f"certificate: expected the serial number of the device, found {calibration.serial!r}, the name of the "
             "table of its readings; calibrate again with --serial"
+        )
+    site = calibration.provenance.site
+    if calibration.accel is not None and site is not None and site.gravity_is_unit:
+        raise InputError(
+            "certificate: expected scale factors in SI, found gravity at the place of the readings as their unit, "
+            "which differs by up to 0.3 %; calibrate again with --gravity and --gravity-u"
+        )
+    if calibration.outcome.unsteady and certificate.changed is None:
+        raise InputError(
+            "certificate: changed: expected a statement under this key on a device that changed while it was recorded, "
+            f"found none, and: {for_reader(calibration.outcome.unsteady[0])}"
         )
     begin, end = certificate.days(calibration)
     today = datetime.now(UTC).date() + timedelta(days=1)  # a day for time zones

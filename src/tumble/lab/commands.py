@@ -59,6 +59,10 @@ def add(calibration: Path, day: datetime | None, every: bool, place: str, **part
         record = opened.add_calibration(calibration, performed=performed, **particulars)
         action = "added as" if record.added >= begun else "the same calibration is there already:"
         console.say(f"{action} record {record.number} in {opened.name}")
+        for serial in opened.similar(record):
+            console.warn(
+                f"device {record.serial!r} differs from {serial!r} by case, blanks, O/0 or I/1 alone: the same?"
+            )
         passed = _show_record(opened, record, every)
     sys.exit(0 if passed else 1)
 
@@ -67,12 +71,20 @@ def _show_record(opened: Registry, record: Record, every: bool) -> bool:
     """Print a record with its verdict, and return True if it passes."""
     from tumble.lab.registry.registry import logs_of
     from tumble.lab.registry.views import record_blocks
+    from tumble.result.calibration import calibration_of
 
-    verdict, calibration = opened.verdict(record), opened.calibration(record)
+    verdict = opened.verdict(record)
+    calibration = (
+        opened.calibration(record)
+        if record.accepted
+        else calibration_of(opened.file(record), f"record {record.number}")
+    )
     logs = [{"session": session, "log_sha256": log} for session, log in logs_of(calibration)]
     content = {"record": record, "launches": logs, "parameters": calibration.parameters, "acceptance": verdict}
     console.show(content, lambda: record_blocks(record, calibration, verdict, every=every))
-    if verdict is None or verdict.result == "pass":
+    if verdict is None:
+        return record.accepted
+    if verdict.result == "pass":
         return True
     for reason in verdict.reasons:
         console.warn(f"{verdict.occasion} check: {reason}")

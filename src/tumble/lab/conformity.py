@@ -24,19 +24,20 @@ Source: ILAC-G8:09/2019, 4.2.3 (guard band w = U on either side of a limit, JCGM
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, get_args
 
 import numpy as np
 import scipy
 
 from tumble.lab.limits import OCCASIONS, Limits, Occasion
+from tumble.recording.session.document import UNKNOWN_SITE_GRAVITY_U
 from tumble.result.accepted import accepted_kinds, accepted_part
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import expanded_of
 from tumble.result.parts import Parameter
-from tumble.sensors.parameters import group_of, name_covers
+from tumble.sensors.parameters import group_name, group_of, name_covers
 from tumble.units import two_digits
 
 DECISION_RULE = (
@@ -50,7 +51,8 @@ RISK_DEFINITION = (
 )
 Result = Literal["fail", "undecided", "conditional fail", "conditional pass", "pass"]
 RESULTS_WORST_FIRST: tuple[Result, ...] = get_args(Result)
-"""A parameter without a value or without U is undecided."""
+"""A parameter without a value or without U, or that changed while it was recorded, is undecided."""
+CHANGED = "changed while it was recorded"
 SMALLEST_RISK = 1e-4  # smaller ones depend on the far tails of a distribution that is only a model
 
 
@@ -104,7 +106,7 @@ class Verdict:
         """Names of the parameters that do not pass, by result."""
         names: dict[str, list[str]] = {"fail": [], "conditional fail": [], "conditional pass": [], "without U": []}
         for j in self.judgements:
-            undecided = "not determined" if j.value is None else "without U"
+            undecided = "not determined" if j.value is None else "without U" if j.expanded is None else CHANGED
             names.setdefault(undecided if j.result == "undecided" else j.result, []).append(j.name)
         return [f"{result}: {', '.join(each)}" for result, each in names.items() if each and result != "pass"]
 
@@ -112,8 +114,9 @@ class Verdict:
 def judge_calibration(calibration: Calibration, limits: Limits) -> list[Verdict]:
     """Judge a calibration in each check that has limits.
 
-    Sensors that are not accepted count as not determined. Raises CalibrationError if it cannot be converted to the
-    frame of the limits."""
+    Sensors that are not accepted count as not determined, and parameters that changed are undecided. Raises
+    CalibrationError if it cannot be converted to the frame of the limits. U of scale factors includes gravity at the
+    place of the readings where that is their unit."""
     judged = (judge_check(calibration, limits, occasion) for occasion in OCCASIONS)
     return [verdict for verdict in judged if verdict is not None]
 
@@ -127,13 +130,25 @@ def judge_check(calibration: Calibration, limits: Limits, occasion: Occasion) ->
     unobservable, parameters = calibration.outcome.unobservable, calibration.parameters
     if not accepted:
         unobservable, parameters = (*calibration, *unobservable), ()
-    return judge_parameters(limits, occasion, parameters, unobservable)
+    site = calibration.provenance.site
+    if site is not None and site.gravity_is_unit:  # limits are in SI
+        of_gravity = UNKNOWN_SITE_GRAVITY_U / site.gravity
+        parameters = tuple(
+            replace(p, u=math.hypot(p.u, of_gravity), dof=None) if p.u and group_name(p.name) == "accel.scale" else p
+            for p in parameters
+        )
+    unsteady = {p.name for p in parameters if calibration.outcome.is_unsteady(group_name(p.name))}
+    return judge_parameters(limits, occasion, parameters, unobservable, unsteady)
 
 
 def judge_parameters(
-    limits: Limits, occasion: Occasion, parameters: Sequence[Parameter], unobservable: Sequence[str] = ()
+    limits: Limits,
+    occasion: Occasion,
+    parameters: Sequence[Parameter],
+    unobservable: Sequence[str] = (),
+    unsteady: Collection[str] = (),
 ) -> Verdict | None:
-    """Judge parameters in the frame of the limits; None if the check has no limits.
+    """Judge parameters in the frame of the limits, except the `unsteady` ones; None if the check has no limits.
 
     Parameters with a limit that were not determined do not pass: those that are `unobservable`, and groups without any
     parameter."""
@@ -150,7 +165,7 @@ def judge_parameters(
             continue
         p = determined.get(name)
         value, u, dof = (None, None, None) if p is None else (p.value, p.u, p.dof)
-        result = "undecided" if value is None else judge_value(value, u, *interval, dof=dof)
+        result = "undecided" if value is None or name in unsteady else judge_value(value, u, *interval, dof=dof)
         judgement = LimitJudgement(
             name=name,
             unit=group_of(name).unit if p is None else p.unit,

@@ -32,7 +32,9 @@ from tumble.lab.certificate import (
     Certificate,
     certificate_limits,
     check_certificate,
+    for_reader,
     read_certificate,
+    statements_of_result,
 )
 from tumble.lab.conformity import DECISION_RULE, RISK_DEFINITION, Verdict, judge_calibration
 from tumble.lab.report import statement_of_priors
@@ -96,7 +98,13 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
         days=certificate.days(calibration),
         state=STATES[certificate.state],
         device=calibration.device,
-        declarations=[*filter(None, [statement_of_priors(calibration)]), SCOPE_STATEMENT, *certificate.remarks],
+        declarations=[
+            *map(for_reader, calibration.outcome.remarks),
+            *statements_of_result(calibration),
+            *filter(None, [statement_of_priors(calibration), certificate.changed]),
+            SCOPE_STATEMENT,
+            *certificate.remarks,
+        ],
         traced="; ".join(certificate.traceability or circumstances.equipment),
         contents_of_u=f"{scope_of_u(calibration)} {contents_of_u(calibration)}",
         origin="; ".join(origin(calibration)),

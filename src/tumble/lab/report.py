@@ -10,7 +10,7 @@ import base64
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import chain, takewhile
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -23,7 +23,9 @@ from tumble.lab.certificate import (
     Party,
     certificate_limits,
     check_certificate,
+    for_reader,
     read_certificate,
+    statements_of_result,
 )
 from tumble.lab.conformity import (
     DECISION_RULE,
@@ -38,7 +40,7 @@ from tumble.lab.conformity import (
 from tumble.lab.limits import Limits, read_limits
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
-from tumble.result.further import recording_dates, remarks
+from tumble.result.further import recording_dates
 from tumble.result.parts import Parameter
 from tumble.result.uncertainty_budget import shares_of_priors
 from tumble.views.blocks import Block, Document, Letterhead, Part, Section, Signature, Table, Text, Tone, section
@@ -78,8 +80,6 @@ TONES: Mapping[Result, Tone] = {
 """Tone of each result of a check."""
 _RULE = f"{DECISION_RULE[0].upper()}{DECISION_RULE[1:]}. {RISK_DEFINITION[0].upper()}{RISK_DEFINITION[1:]}."
 _CHECKS = {"incoming": "Incoming inspection", "periodic": "Periodic check"}
-_FOR_THE_OPERATOR = ("[", "`", "--", "tumble ", "let ")
-"""Marks of clauses with keys, commands, options or advice, which are left out of certificates with what follows."""
 
 
 def write_judged_report(
@@ -201,14 +201,10 @@ def _sections(
         return row
 
     found = [] if as_found is None else [_as_found_text(as_found, acceptance)]
-    yield section("Result", *verdict_blocks(calibration), *value_blocks(calibration, extra_columns), *found)
+    yield section("Result", *verdict_blocks(calibration, for_reader), *value_blocks(calibration, extra_columns), *found)
     if acceptance is not None:
         yield limits_section(acceptance, checks)
-    clauses = (
-        "; ".join(takewhile(lambda clause: not any(mark in clause for mark in _FOR_THE_OPERATOR), note.split("; ")))
-        for note in (*calibration.provenance.assumptions, *calibration.provenance.notes)
-    )
-    further = (notes(*remarks(calibration), *filter(None, clauses)), *annexes(calibration, "c", short=True))
+    further = (notes(*statements_of_result(calibration)), *annexes(calibration, "c", short=True))
     yield from (each for each in further if each is not None)
     yield provenance(source)
 
@@ -246,7 +242,14 @@ def _statements(certificate: Certificate, calibration: Calibration, checks: Sequ
     agreed = f" Agreed beforehand: {certificate.agreed}." if certificate.agreed else ""
     rule = f"{_RULE}{agreed}{''.join(check.risk_sentence for check in checks)}" if certificate.limits else ""
     traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
-    stated = (rule, statement_of_priors(calibration), traced, *certificate.remarks, SCOPE_STATEMENT)
+    stated = (
+        rule,
+        statement_of_priors(calibration),
+        traced,
+        certificate.changed,
+        *certificate.remarks,
+        SCOPE_STATEMENT,
+    )
     return tuple(filter(None, stated))
 
 

@@ -76,6 +76,8 @@ def _alone(calibration: AnyCalibration, kind: SensorKind) -> AnyCalibration:
         **without,
         outcome=Outcome(
             remarks=kept.remarks,
+            concerns={sentence: on for sentence, on in outcome.concerns.items() if sentence in kept.remarks},
+            unsteady=tuple(sentence for sentence in outcome.unsteady if sentence in kept.remarks),
             unobservable=tuple(name for name in outcome.unobservable if sensor_kind(name) != other),
         ),
         evidence=replace(

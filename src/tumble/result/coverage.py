@@ -79,7 +79,7 @@ def unshared_variance(u: float | None, degrees: float | None, shared: Iterable[f
     if degrees is None or remaining == 0.0:
         return remaining, None if degrees is None or variance == 0.0 else 0.0
     ratio = remaining / variance
-    of_same_U = _degrees_of_factor(coverage_factor(degrees) / sqrt(ratio))
+    of_same_U = degrees_of_factor(coverage_factor(degrees) / sqrt(ratio))
     return remaining, None if of_same_U is None else max(degrees * ratio**2, of_same_U)
 
 
@@ -135,12 +135,12 @@ def degrees_of_mean(
     u = sqrt(variance + common**2)
     if u == 0.0:
         return u, None
-    degrees_m = None if variance == 0.0 else _degrees_of_factor(U / sqrt(variance))
+    degrees_m = None if variance == 0.0 else degrees_of_factor(U / sqrt(variance))
     dof = welch_satterthwaite([(variance, degrees_m), (common**2, None)])
-    return u, dof if coverage_factor(inf if dof is None else dof) * u >= U else _degrees_of_factor(U / u)
+    return u, dof if coverage_factor(inf if dof is None else dof) * u >= U else degrees_of_factor(U / u)
 
 
-def _degrees_of_factor(factor: float) -> float | None:
+def degrees_of_factor(factor: float) -> float | None:
     """Return the degrees of freedom with a coverage factor; None if u counts as known."""
     if factor <= coverage_factor(MANY_DEGREES):
         return None

@@ -263,6 +263,7 @@ class OutcomeTable:
     remarks: tuple[str, ...] = ()
     unobservable: tuple[str, ...] = ()
     concerns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    unsteady: tuple[str, ...] = ()
     accel: JudgementTable | None = None
     gyro: JudgementTable | None = None
     groups: Mapping[str, JudgementTable] = field(default_factory=dict)

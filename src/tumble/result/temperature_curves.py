@@ -13,7 +13,8 @@ from itertools import chain
 
 import numpy as np
 
-from tumble.result.parts import RestResult, stated_factor
+from tumble.result.coverage import degrees_of_factor
+from tumble.result.parts import RestResult, coverage_factor, stated_factor
 from tumble.result.record import CalibrationData, reference_of_parameter
 from tumble.sensors.parameters import OVER_TEMPERATURE, units_of
 from tumble.units import Array
@@ -102,7 +103,8 @@ def temperature_curve(calibration: CalibrationData, name: str, temperature: Arra
     parameters, expanded, degrees = [calibration.parameters[i] for i in members], None, None
     if calibration.covariance is not None:
         # Welch–Satterthwaite (JCGM 100:2008, G.4.1), but at least the fewest degrees of freedom of a parameter, as for
-        # independent parameters: it fails for anticorrelated ones, whose sum is known better than each of them
+        # independent parameters: it fails for anticorrelated ones, whose sum is known better than each of them. U is
+        # not less than that of a single term, which the formula makes it where others have many degrees of freedom
         S = calibration.covariance[np.ix_(members, members)]
         u2 = np.einsum("ni,ij,nj->n", P, S, P)
         per_degree = np.array([0.0 if p.dof is None else 1.0 / p.dof for p in parameters])
@@ -110,6 +112,11 @@ def temperature_curve(calibration: CalibrationData, name: str, temperature: Arra
         degrees = np.divide(u2**2, spread, out=np.full(len(u2), math.inf), where=spread > 0.0)
         least = min((p.dof for p in parameters if p.dof is not None), default=math.inf)
         degrees = np.maximum(degrees, least)
+        for weight, variance, p in zip(np.abs(P).T, np.diag(S), parameters, strict=True):
+            if p.dof is not None:
+                share = np.minimum(np.sqrt(variance * weight**2 / np.maximum(u2, 1e-300)), 1.0)
+                of_term = map(degrees_of_factor, (coverage_factor(p.dof) * share).tolist())
+                degrees = np.minimum(degrees, [math.inf if each is None else each for each in of_term])
         factors = [k for k in map(stated_factor, degrees.tolist()) if k is not None]
         expanded = np.array(factors) * np.sqrt(u2) if len(factors) == len(u2) else None
     return Curve(

@@ -133,7 +133,13 @@ def refused_calibration(
         accel=None,
         gyro=None,
         outcome=outcome,
-        provenance=replace(provenance, site=session.site, readings=readings_of_session(session), notes=bridged),
+        provenance=replace(
+            provenance,
+            site=session.site,
+            programme=None if session.programme is None else session.programme.name,
+            readings=readings_of_session(session),
+            notes=bridged,
+        ),
     )
 
 

@@ -207,7 +207,7 @@ def calibrate_readings(
         row_u=tuple((table.row_u / np.abs(nominal.scale)).tolist()) if row_known else (),
     )
     calibration = Calibration(
-        device=CalibratedDevice(serial=table.path.stem if serial is None else serial),
+        device=CalibratedDevice(serial=table.path.stem if serial is None else serial.strip()),
         method="ellipsoid" if estimate is None else estimate.method,
         frame=frame,
         parameters=parameters if has_u else tuple(replace(p, u=None, dof=None) for p in parameters),

@@ -59,6 +59,7 @@ from tumble.sensors.parameters import (
 from tumble.units import Array, two_digits
 
 _Any = TypeVar("_Any")
+UNSTEADY_CHANCE = 1e-6  # the same, below which the mean is not that of one state of a device
 DIFFERING_CHANCE = 1e-4  # probability of differences between launches of one device, below which they are remarked
 
 
@@ -140,6 +141,13 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
                 f"{run.session.name}: expected a launch of device {first.serial!r} like the first session, found "
                 f"{run.calibration.serial!r}; calibrate each device by itself"
             )
+        for key in ("model", "grade"):
+            expected, found = (getattr(each.session.device, key) for each in (runs[0], run))
+            if None not in (expected, found) and expected != found:
+                raise InputError(
+                    f"{run.session.name}: device.{key}: expected {expected!r} like the first session, found {found!r}; "
+                    "serial numbers must be unique"
+                )
     check_recordings([run.session for run in runs], digests)
     names = [name for name in first if all(name in launch for launch in launches)]
     references = [launch.temperature.references for launch in launches]
@@ -164,6 +172,10 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
     ):
         budget = budget.with_source(each, part)
     by_name = dict(zip(names, mean.tolist(), strict=True))
+    differing = [*_differing_launches(runs, parameters, covariances)]
+    outcomes = [(run.name, run.calibration.outcome) for run in runs]
+    remarks = [(f"{name}: {remark}", remark in each.unsteady) for name, each in outcomes for remark in each.remarks]
+    remarks = [*((sentence, chance < UNSTEADY_CHANCE) for chance, sentence in differing), *remarks]
     convention = frame_of(first.frame)
     return Calibration(
         device=replace(first.device, imu=_common_items([launch.imu for launch in launches])),
@@ -175,13 +187,11 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
         gyro=_mean_model(convention, session.gyro_block, by_name),
         mag=None if first.mag is None else _mean_model("accelerometer", block_near(first.mag.matrix), by_name),
         outcome=Outcome(
-            reasons=tuple(f"{run.name}: {reason}" for run in runs for reason in run.calibration.outcome.reasons),
-            remarks=(
-                *_differing_launches(runs, parameters, covariances),
-                *(f"{run.name}: {remark}" for run in runs for remark in run.calibration.outcome.remarks),
-            ),
-            unobservable=tuple(dict.fromkeys(name for launch in launches for name in launch.outcome.unobservable)),
-            concerns={f"{run.name}: {s}": on for run in runs for s, on in run.calibration.outcome.concerns.items()},
+            reasons=tuple(f"{name}: {reason}" for name, each in outcomes for reason in each.reasons),
+            remarks=tuple(sentence for sentence, _ in sorted(remarks, key=lambda remark: not remark[1])),
+            unobservable=tuple(dict.fromkeys(name for _, each in outcomes for name in each.unobservable)),
+            concerns={f"{name}: {sentence}": on for name, each in outcomes for sentence, on in each.concerns.items()},
+            unsteady=tuple(sentence for sentence, unsteady in remarks if unsteady),
         ),
         groups=_groups(launches, parameters),
         prediction=_prediction(runs, names, mean, covariance),
@@ -285,8 +295,9 @@ def _mean_parameters(
 
 def _differing_launches(
     runs: Sequence[LaunchRun], parameters: Sequence[Parameter], covariances: Array
-) -> Iterator[str]:
-    """Yield a remark if launches differ by more than power-ons of one device of its grade, and their u, explain.
+) -> Iterator[tuple[float, str]]:
+    """Yield a remark, and how probable it is by chance, if launches differ by more than power-ons of one device of its
+    grade, and their u, explain.
 
     For a parameter of the linear model s²/(s_g² + n²) has an F distribution, with the usual s_g from power-on to
     power-on of the grade and the u of a launch, n. The least probability is multiplied by the number of parameters."""
@@ -313,10 +324,11 @@ def _differing_launches(
     if len(tested) * chance < DIFFERING_CHANCE:
         size, unit = shown_in(p.name, p.unit, spread_of(TURN_ON[grade], p.name))
         yield (
+            len(tested) * chance,
             f"the launches differ by more than power-ons and noise of one device: {p.name} has a standard deviation of "
             f"{two_digits((p.run_to_run or 0.0) / size)} {unit} from launch to launch, {ratio**0.5:.1f} times what is "
             f"usual for the grade {grade} (by chance with probability {len(tested) * chance:.1g}): they are of "
-            "different devices, or the device was changed or much warmer in between; calibrate each launch alone"
+            "different devices, or the device was changed or much warmer in between; calibrate each launch alone",
         )
 
 

@@ -19,7 +19,8 @@ coefficient r_pk = b_pk + f_p s_pk of the reading. So the coefficient of the bia
 
 with ŝ_pk and u(s_pk) from a calibration that has them, else zero and the usual size. Several attitudes separate them,
 and s_pk are parameters too. In one attitude the Earth's rate is a constant part of c_p of a gyro; of its direction only
-the angle from the vertical is known, if the latitude is.
+the angle from the vertical is known, if the latitude is. A gyro also reads G·f of the specific force, which adds (G g)²
+to u² of its bias, G being the usual g-sensitivity; with a calibration, its biases stay those of (3).
 
 **With a calibration** at a temperature T_A, with parameters θ_A, the result is θ_A with polynomials about T_A,
 
@@ -139,8 +140,8 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
             software=provenance.software,
             created=provenance.created,
             sample_rate=base_provenance.sample_rate or observed.rate,
-            notes=(*base_provenance.notes, *notes, *_notes(estimate, observations)),
-            assumptions=(*base_provenance.assumptions, *_assumptions(observations, base)),
+            notes=(*base_provenance.notes, *notes, *_notes(estimate, observations, base)),
+            assumptions=(*base_provenance.assumptions, *_assumptions(observations, base, session.log.doubt)),
         ),
     )
 
@@ -217,6 +218,11 @@ def _nominal(session: Session, estimate: Estimate, observations: Observations) -
         names = list(gyro.names[: gyro.size])
         indices = [estimate.names.index(name) for name in names]
         values, budget = estimate.values[indices], budget.carried(np.eye(len(estimate.names))[indices])
+        by_force = observations.usual.get("gyro.g_sensitivity", 0.0)
+        force = by_force * observations.site.gravity
+        budget = budget.with_source(
+            source("prior.gyro.g_sensitivity", by_force, "rad*s/m"), force**2 * np.eye(len(names))
+        )
         covariance = budget.covariances.sum(axis=0)
         bias = np.zeros(gyro.size)
         bias[gyro.channels] = values
@@ -243,7 +249,7 @@ def _nominal(session: Session, estimate: Estimate, observations: Observations) -
             fits=estimate.fits,
             hyperparameters=estimate.hyperparameters,
             integral=estimate.integral,
-            budget=contributions_of(budget, names) if names else (),
+            budget=contributions_of(budget, names, observations.size_basis) if names else (),
         ),
         provenance=replace(nothing.provenance, site=observations.site),
     )
@@ -378,7 +384,7 @@ def _kelvin(observations: Observations) -> Array:
 # -------------------- notes --------------------
 
 
-def _notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
+def _notes(estimate: Estimate, observations: Observations, base: Calibration | None) -> Iterator[str]:
     celsius = _kelvin(observations) - ZERO_CELSIUS
     yield f"over temperature: {celsius.min():z.1f} to {celsius.max():z.1f} °C; beyond them nothing was measured"
     for name, sensors in LAGS.items():
@@ -390,6 +396,8 @@ def _notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
             "the temperature only rose or only fell: hysteresis is not determined, and not in u; let the device warm "
             "and cool in one recording"
         )
+    if base is None and observations.gyro_block is not None:
+        yield "u of gyro.bias includes gravity, by the g-sensitivity that is usual for the grade"
     if one_direction(observations.rests.accel):
         yield (
             "in one attitude a change of the scale factor of an accelerometer looks like one of its bias: the result "
@@ -397,7 +405,9 @@ def _notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
         )
 
 
-def _assumptions(observations: Observations, base: Calibration | None) -> Iterator[str]:
+def _assumptions(observations: Observations, base: Calibration | None, doubt: str | None) -> Iterator[str]:
+    if doubt:
+        yield f"doubt: {doubt}"
     span = float(np.ptp(_kelvin(observations), axis=0).max())
     if span < WIDE:
         yield (

@@ -11,12 +11,20 @@ largest |E_n| of m as large with a probability of at least CHANCE (Bonferroni's 
 
 All m together, correlations included, are tested with χ² = dᵀ C⁻¹ d, C = C₁ + C₂ − Σ (g₁g₂ᵀ + g₂g₁ᵀ), without
 parameters that are known only by their priors in both calibrations. If uncertainties were estimated, with ν the fewest
-degrees of freedom, χ²/m has the F distribution with m and ν degrees of freedom (Hotelling).
+degrees of freedom, χ²/m has the F distribution with m and ν degrees of freedom (Hotelling). The uncertainties of a mean
+of launches are estimated each by itself instead. If either calibration is one, each difference is replaced by the
+normal deviate z that is as probable, by its own ν, and with the correlations R
+
+    χ² = m Σ z²/tr R²,    m²/tr R² degrees of freedom,
+
+has the first two moments of chi-square (Satterthwaite); ν is then the fewest of a calibration of one launch. Of 20,000
+simulated comparisons of 24 or 72 parameters with 2 to 10 degrees of freedom each, at most 4.3 % are below a probability
+of 5 % and 0.07 % below 0.1 %.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import inf, sqrt
 from typing import Any, ClassVar, Self
@@ -37,6 +45,7 @@ from tumble.units import Array
 
 CHANCE = 0.01
 """Probability that the largest difference of two calibrations that agree is significant."""
+LEAST_TAIL = 1e-300  # of a normal deviate
 LEAST_PROBABILITY = 1e-3
 """Two calibrations contradict each other if chance exceeds their χ² with a smaller probability than this."""
 
@@ -112,7 +121,7 @@ class Comparison(Judged):
     differences: tuple[Difference, ...]
     covariance: Array | None
     chi_square: float | None
-    degrees: int | None
+    degrees: float | None
     probability: float | None
     missing: tuple[str, ...]
     remarks: tuple[str, ...]
@@ -197,11 +206,14 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
     covariances, covariance = (a.covariance_of(common), b.covariance_of(common)), None
     if covariances[0] is not None and covariances[1] is not None:
         covariance = covariances[0] + covariances[1] - shared[0] @ shared[1].T - shared[1] @ shared[0].T
-    learned = np.array([d.u != 0.0 for d in differences])
+    learned = [i for i, d in enumerate(differences) if d.u != 0.0]
+    judged, single = [differences[i] for i in learned], [each for each in (a, b) if not each.evidence.launches]
+    estimated = judged if len(single) == len((a, b)) else [each[d.name] for each in single for d in judged]
     chi_square, degrees, probability = _chi_square(
-        np.array([d.value for d in differences])[learned],
+        judged,
         None if covariance is None else covariance[np.ix_(learned, learned)],
-        min((d.dof for d in differences if d.u and d.dof is not None), default=None),
+        min((each.dof for each in estimated if each.u and each.dof is not None), default=None),
+        separate=estimated is not judged,
     )
     remarks = list(_remarks(first, second, frame))
     if sources:
@@ -219,20 +231,26 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
 
 
 def _chi_square(
-    differences: Array, covariance: Array | None, fewest: float | None
-) -> tuple[float, int, float] | tuple[None, None, None]:
-    """Return dᵀ C⁻¹ d, the rank of C, and the probability that chance exceeds it.
+    differences: Sequence[Difference], covariance: Array | None, fewest: float | None, *, separate: bool
+) -> tuple[float, float, float] | tuple[None, None, None]:
+    """Return chi-square, its degrees of freedom, and the probability that chance exceeds it (module docstring).
 
-    C was estimated with the `fewest` degrees of freedom, or is exact if None."""
+    The common scale of C was estimated with the `fewest` degrees of freedom, or is exact if None; `separate`: the
+    variances were estimated each by itself."""
     if covariance is None or np.any(np.diag(covariance) <= 0.0):
         return None, None, None
     u = np.sqrt(np.diag(covariance))
-    correlation, scaled = covariance / np.outer(u, u), differences / u
-    rank = int(np.linalg.matrix_rank(correlation, hermitian=True))
-    chi_square = max(0.0, float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled))
+    correlation, scaled = covariance / np.outer(u, u), np.array([d.value for d in differences]) / u
+    if separate:
+        z = scipy.special.ndtri(np.maximum([0.5 * (d.by_chance or 0.0) for d in differences], LEAST_TAIL))
+        scale = len(z) / float(np.sum(correlation**2))
+        chi_square, degrees = scale * float(z @ z), scale * len(z)
+    else:
+        degrees = float(np.linalg.matrix_rank(correlation, hermitian=True))
+        chi_square = max(0.0, float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled))
     if fewest is None:
-        return chi_square, rank, float(scipy.special.chdtrc(rank, chi_square))
-    return chi_square, rank, float(scipy.special.fdtrc(rank, fewest, chi_square / rank))
+        return chi_square, degrees, float(scipy.special.chdtrc(degrees, chi_square))
+    return chi_square, degrees, float(scipy.special.fdtrc(degrees, fewest, chi_square / degrees))
 
 
 def _remarks(first: Calibration, second: Calibration, frame: str) -> Iterator[str]:

@@ -47,7 +47,7 @@ def comparison_lines(comparison: Comparison) -> list[str]:
         lines[0] += f", one as large as the largest by chance with probability {chance}"
     if comparison.probability is not None:
         lines.append(
-            f"all together: χ² {comparison.chi_square:.1f} for {comparison.degrees}, exceeded by chance with "
+            f"all together: χ² {comparison.chi_square:.1f} for {comparison.degrees:.3g}, exceeded by chance with "
             f"probability {probability_text(comparison.probability)}"
         )
     return lines

@@ -8,6 +8,7 @@ from typing import ClassVar, Literal
 
 from tumble.lab.limits import Limits, Occasion, parse_limits
 
+NOT_ACCEPTED = "not accepted"  # word of a calibration that could not be made
 State = Literal["as-found", "as-left", "unchanged"]
 """State of the device: before an adjustment, after it, or without one."""
 
@@ -18,7 +19,8 @@ class Record:
 
     `sha256` is the hash of the canonical JSON of its file. `performed`, `occasion` and `state` are when the device was
     calibrated, at which check, and whether before or after an adjustment; `limits` is the number of the acceptance
-    limits that were in force, `verdict` the result by them, None without limits."""
+    limits that were in force, `verdict` the result by them, None without limits, and "not accepted" for a calibration
+    of which nothing is accepted."""
 
     number: int
     sha256: str
@@ -35,8 +37,14 @@ class Record:
 
     @property
     def withdrawn(self) -> bool:
-        """Whether the device failed this check, so that it must not be used until it is calibrated again."""
-        return self.verdict in ("fail", "conditional fail")
+        """Whether the device failed this check or was not judged, so that it must not be used until it is calibrated
+        again."""
+        return self.verdict in (NOT_ACCEPTED, "fail", "conditional fail", "undecided")
+
+    @property
+    def accepted(self) -> bool:
+        """Whether its calibration, or that of accelerometers or gyros alone, is accepted."""
+        return self.verdict != NOT_ACCEPTED
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -22,8 +22,8 @@ from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath
 from tumble.lab.conformity import Verdict, judge_check
 from tumble.lab.limits import Limits, Occasion, months_later, parse_limits
-from tumble.lab.registry.records import Due, LimitsRecord, Record, State
-from tumble.result.accepted import accepted_part
+from tumble.lab.registry.records import NOT_ACCEPTED, Due, LimitsRecord, Record, State
+from tumble.result.accepted import accepted_kinds, accepted_part
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
 from tumble.result.launch_variances import LaunchVariances, launch_variances, variances_between
 
@@ -100,7 +100,8 @@ class Registry:
         Parameters
         ----------
         calibration
-            Calibration or its file. If only its accelerometers or only its gyros are accepted, these are registered.
+            Calibration or its file. If only its accelerometers or only its gyros are accepted, these are registered;
+            one that is not accepted withdraws the device.
         performed
             When the device was calibrated; default: the date of the recording, or else of the file.
         occasion
@@ -116,14 +117,16 @@ class Registry:
         Raises
         ------
         InputError
-            If the file is not an accepted calibration, its date is missing or in the future, its device type differs
+            If the file is not a calibration, its date is missing or in the future, its device type differs
             from that of earlier records of the serial number, or its log belongs to another record.
         """
         from tumble.lab.registry.database import CALIBRATION
 
         text, name = text_and_name(calibration)
-        part = accepted_part(calibration_of(text, name), name)
-        if not part.parameters:
+        part = calibration_of(text, name)
+        accepted = part.outcome.accepted or len(accepted_kinds(part)) == 1
+        part = accepted_part(part, name) if accepted else part
+        if accepted and not part.parameters:
             raise InputError(f"{name}: parameters: expected at least one, found none")
         performed = _performed(part, performed, name)
         canonical = json.dumps(json.loads(text), sort_keys=True, separators=(",", ":"))
@@ -148,6 +151,9 @@ class Registry:
             if occasion is None:
                 occasion = "periodic" if any(record.performed <= performed for record in earlier) else "incoming"
             limits = rows.limits_in_force(model)
+            verdict = None if accepted else NOT_ACCEPTED
+            if accepted and limits is not None:
+                verdict = _verdict_word(part, limits.parsed(), occasion)
             number = rows.add(
                 CALIBRATION,
                 sha256=digest,
@@ -159,10 +165,10 @@ class Registry:
                 occasion=occasion,
                 state=state,
                 limits=None if limits is None else limits.number,
-                verdict=None if limits is None else _verdict_word(part, limits.parsed(), occasion),
+                verdict=verdict,
                 file=text,
             )
-            rows.add_logs(number, logs)
+            rows.add_logs(number, logs if accepted else ())  # a better calibration of the log may follow
             return rows.records(number=number)[0]
 
     def set_limits(self, model: str, file: FilePath) -> LimitsRecord:
@@ -200,6 +206,11 @@ class Registry:
             raise InputError(f"record {number}: expected a record of the registry, found none of this number")
         return records[0]
 
+    def similar(self, record: Record) -> list[str]:
+        """Return other serial numbers that differ from that of a record only by case, blanks, O for 0, or I for 1."""
+        alike, serials = _folded(record.serial), {other.serial for other in self.records()} - {record.serial}
+        return sorted(serial for serial in serials if _folded(serial) == alike)
+
     def file(self, record: Record) -> str:
         """Return the text of the calibration file of a record, as it was added."""
         with self.database.reading() as rows:
@@ -224,9 +235,10 @@ class Registry:
             return rows.limits()
 
     def verdict(self, record: Record) -> Verdict | None:
-        """Judge a record by the limits that were in force when it was added; None without limits."""
+        """Judge a record by the limits that were in force when it was added; None without limits, or if it is not
+        accepted."""
         limits = next((known.parsed() for known in self.limits() if known.number == record.limits), None)
-        if limits is None:
+        if limits is None or not record.accepted:
             return None
         return judge_check(self.calibration(record, limits.frame), limits, record.occasion)
 
@@ -235,11 +247,13 @@ class Registry:
     def trend(self, serial: str) -> Trend:
         """Return the trend of the parameters of a device, against the limits that are in force now.
 
-        Raises InputError for an unknown device, and if a record cannot be converted to the frame of the limits, or
-        without limits to that of the latest record."""
+        Raises InputError for an unknown device or one without accepted calibrations, and if a record cannot be
+        converted to the frame of the limits, or without limits to that of the latest record."""
         from tumble.lab.registry.trend import trend_of
 
-        records = self.records(serial)
+        records = [record for record in self.records(serial) if record.accepted]
+        if not records:
+            raise InputError(f"device {serial!r}: expected an accepted calibration in the registry, found none")
         with self.database.reading() as rows:
             in_force = rows.limits_in_force(records[-1].model)
         limits = None if in_force is None else in_force.parsed()
@@ -312,6 +326,10 @@ class Registry:
         """Yield the calibration of a record in a frame, if it can be converted."""
         with suppress(InputError):
             yield self.calibration(record, frame)
+
+
+def _folded(serial: str) -> str:
+    return "".join(serial.upper().split()).translate(str.maketrans("OI", "01"))
 
 
 def _performed(calibration: Calibration, stated: datetime | None, name: str) -> datetime:

@@ -114,11 +114,14 @@ def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | N
         return {"value": value, "U": U, **limits, "unit": unit, "verdict": result}
 
     sentences = ["no verdict: no limits were in force for this type and check when the record was added"]
-    if verdict is not None:
+    if not record.accepted:
+        sentences = [*calibration.outcome.reasons, f"verdict: {record.verdict}"]
+    elif verdict is not None:
         risk = f"{RISK_DEFINITION}.{verdict.risk_sentence}"
         sentences = [DECISION_RULE, risk, *verdict.reasons, f"verdict: {verdict.result}"]
+    remarks = [f"remark: {remark}" for remark in calibration.outcome.remarks]
     parameters = quantity_table(shown, shown_units(shown), row, words=("verdict",), caption=caption)
-    return ["\n".join(lines), parameters, Items(items=tuple(sentences))]
+    return ["\n".join(lines), parameters, Items(items=(*remarks, *sentences))]
 
 
 def _select_parameters(parameters: Sequence[Q], kept: Collection[str], *, every: bool) -> tuple[list[Q], str]:

@@ -28,7 +28,7 @@ import polars as pl
 from tumble.errors import LogError
 from tumble.recording.log_source import LogSource, Unread, unread_error
 from tumble.recording.session import LogSpec
-from tumble.units import Array, BoolArray, IntArray
+from tumble.units import TIME_UNITS, Array, BoolArray, IntArray
 
 GAP_STEP = 1.5  # intervals; a longer step in time is a gap
 _BRIDGED_SAMPLES = 5
@@ -220,7 +220,11 @@ class Bridge:
             raise LogError(f"{self.source.path}: expected a log, found no rows; the file is empty")
         length = float(self.last.time[0]) - start + self.interval
         if length < _SHORTEST_LOG * (1.0 - 1e-9):
-            raise LogError(f"{self.source.path}: expected at least {_SHORTEST_LOG:g} s, found {length:.6g} s")
+            hint, factor = "", 1e3 * self.spec.time_factor
+            unit = next((unit for unit, size in TIME_UNITS.items() if math.isclose(size, factor)), None)
+            if self.spec.time is not None and not self.spec.clock and unit is not None:
+                hint = f"; is the time {self.spec.time!r} in {unit}, {1e3 * length:.6g} s? State time_unit in [log]"
+            raise LogError(f"{self.source.path}: expected at least {_SHORTEST_LOG:g} s, found {length:.6g} s{hint}")
         if self.pending is not None:
             self._leave_out(self.pending, behind, math.nan)
 

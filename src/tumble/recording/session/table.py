@@ -48,7 +48,7 @@ def check_plain(text: str) -> str:
 def check_name(text: str) -> str:
     if not (text.strip() and text.isprintable() and len(text) <= LONGEST_NAME):
         raise ValueError(f"expected 1 to {LONGEST_NAME} printable characters, found {shown(text)}")
-    return text
+    return text.strip()
 
 
 def check_span(start: float | None, stop: float | None) -> None:

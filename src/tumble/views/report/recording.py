@@ -206,5 +206,5 @@ def temperature(recordings: Sequence[RecordedSession]) -> str:
     """Return the range of the temperatures of the rests."""
     celsius = [rest.temperature for r in recordings for rest in r.recorded.rests if rest.temperature is not None]
     if not celsius:
-        return "not recorded"
+        return "not recorded" if any(r.recorded.rests for r in recordings) else NONE
     return " to ".join(dict.fromkeys([fixed(min(celsius), 1), fixed(max(celsius), 1)])) + " °C (sensors)"

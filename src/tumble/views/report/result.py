@@ -56,7 +56,7 @@ _MAX_LARGE_COLUMNS = 9  # columns that fit on a page in the larger type
 
 def result(calibration: Calibration, name: str) -> Section:
     """Return the result: verdict, remarks, errors before and after as a figure of this `name`, parameters with U."""
-    sentences = (*improvement(calibration), *calibration.outcome.remarks)
+    sentences = improvement(calibration)
     blocks: list[Block] = [Items(items=tuple(f"{each[0].upper()}{each[1:]}" for each in sentences))]
     usable = accepted_kinds(calibration)
     if any(p.u and sensor_kind(p.name) in usable for p in linear_parameters(calibration.parameters)):
@@ -68,8 +68,9 @@ def result(calibration: Calibration, name: str) -> Section:
     return section("Result", *verdict_blocks(calibration), *blocks[not sentences :], *value_blocks(calibration))
 
 
-def verdict_blocks(calibration: Calibration) -> list[Block]:
-    """State whether the values may be used, with the reasons if not."""
+def verdict_blocks(calibration: Calibration, sentence_for: Callable[[str], str] = str) -> list[Block]:
+    """State whether the values may be used, with the reasons if not and the remarks, each as `sentence_for` returns
+    it."""
     outcome = calibration.outcome
     tone: Tone = "good"
     usable = [*(WORDS[kind] for kind in accepted_kinds(calibration)), *accepted_groups(calibration)]
@@ -80,7 +81,7 @@ def verdict_blocks(calibration: Calibration) -> list[Block]:
         tone, verdict = "bad", "Not accepted: these values must not be used."
     elif outcome.remarks:
         tone = "doubt"
-        verdict = "Accepted with scatter: noise within the rests does not explain all residuals. Their scatter is in U."
+        verdict = "Accepted with scatter, with what is remarked here:"
     else:
         verdict = "Accepted: every parameter given here is observable, and the residuals agree with the model."
         if unchecked := " and ".join(name for name, fit in calibration.evidence.fits.items() if fit.degrees < 0.5):
@@ -89,7 +90,11 @@ def verdict_blocks(calibration: Calibration) -> list[Block]:
     *by_kind, _ = verdicts(calibration)
     if by_kind:
         blocks.append(f"{'; '.join(by_kind).capitalize()}.")
-    return [*blocks, *([Items(items=outcome.reasons, tone="bad")] if outcome.reasons else [])]
+    reasons = tuple(map(sentence_for, outcome.reasons))
+    remarks = tuple(f"{each[0].upper()}{each[1:]}" for each in map(sentence_for, outcome.remarks) if each)
+    blocks += [Items(items=reasons, tone="bad")] if reasons else []
+    blocks += [Items(items=remarks, tone="doubt")] if remarks else []
+    return blocks
 
 
 def value_blocks(calibration: Calibration, further: Cells | None = None) -> list[Block]:
