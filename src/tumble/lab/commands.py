@@ -71,21 +71,13 @@ def _show_record(opened: Registry, record: Record, every: bool) -> bool:
     """Print a record with its verdict, and return True if it passes."""
     from tumble.lab.registry.registry import logs_of
     from tumble.lab.registry.views import record_blocks
-    from tumble.result.calibration import calibration_of
 
-    verdict = opened.verdict(record)
-    calibration = (
-        opened.calibration(record)
-        if record.accepted
-        else calibration_of(opened.file(record), f"record {record.number}")
-    )
+    verdict, calibration = opened.verdict(record), opened.calibration(record)
     logs = [{"session": session, "log_sha256": log} for session, log in logs_of(calibration)]
     content = {"record": record, "launches": logs, "parameters": calibration.parameters, "acceptance": verdict}
     console.show(content, lambda: record_blocks(record, calibration, verdict, every=every))
-    if verdict is None:
+    if verdict is None or verdict.result == "pass":
         return record.accepted
-    if verdict.result == "pass":
-        return True
     for reason in verdict.reasons:
         console.warn(f"{verdict.occasion} check: {reason}")
     return False

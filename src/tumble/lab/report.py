@@ -242,15 +242,8 @@ def _statements(certificate: Certificate, calibration: Calibration, checks: Sequ
     agreed = f" Agreed beforehand: {certificate.agreed}." if certificate.agreed else ""
     rule = f"{_RULE}{agreed}{''.join(check.risk_sentence for check in checks)}" if certificate.limits else ""
     traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
-    stated = (
-        rule,
-        statement_of_priors(calibration),
-        traced,
-        certificate.changed,
-        *certificate.remarks,
-        SCOPE_STATEMENT,
-    )
-    return tuple(filter(None, stated))
+    stated = (rule, statement_of_priors(calibration), traced, certificate.changed, *certificate.remarks)
+    return (*filter(None, stated), SCOPE_STATEMENT)
 
 
 def statement_of_priors(calibration: Calibration) -> str:
