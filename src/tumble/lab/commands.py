@@ -16,7 +16,6 @@ from tumble.errors import InputError
 if TYPE_CHECKING:
     from tumble.lab.registry.records import Record
     from tumble.lab.registry.registry import Registry
-    from tumble.views.blocks import Block
 
 _DAY: dict[str, Any] = {"type": click.DateTime(["%Y-%m-%d"]), "metavar": "YYYY-MM-DD"}
 _PLACE = params.registry_place(required=True)
@@ -174,11 +173,7 @@ def limits(model: str | None, file: Path | None, place: str) -> None:
     shown = [each for each in records if model is None or (each.model == model and each.in_force)]
     if model is not None and not shown:
         raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
-
-    def blocks() -> list[Block]:
-        return [limits_table(shown)] if model is None else limits_blocks(shown[0])
-
-    console.show({"limits": shown}, blocks)
+    console.show({"limits": shown}, lambda: [limits_table(shown)] if model is None else limits_blocks(shown[0]))
 
 
 @registry.command

@@ -204,8 +204,7 @@ def _sections(
     yield section("Result", *verdict_blocks(calibration, for_reader), *value_blocks(calibration, extra_columns), *found)
     if acceptance is not None:
         yield limits_section(acceptance, checks)
-    further = (notes(*statements_of_result(calibration)), *annexes(calibration, "c", short=True))
-    yield from (each for each in further if each is not None)
+    yield from filter(None, (notes(*statements_of_result(calibration)), *annexes(calibration, "c", short=True)))
     yield provenance(source)
 
 
