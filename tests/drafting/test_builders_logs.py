@@ -217,6 +217,15 @@ def array_of_numpy(folder: Path, rows: Array) -> Path:
     return folder / "a.npy"
 
 
+def newest_first(folder: Path, rows: Array) -> Path:
+    return table(folder / "log.csv", f"t,{NAMES}", rows[::-1])
+
+
+def newest_first_by_the_clock(folder: Path, rows: Array) -> Path:
+    back = rows[::-1]
+    return table(folder / "log.csv", f"time,{NAMES}", back[:, 1:], times=dates(back, "%H:%M:%S.%f", 12))
+
+
 def in_minutes(folder: Path, rows: Array) -> Path:
     return table(folder / "log.csv", f"Time (min),{NAMES}", rows[:, 0] / 60.0, rows[:, 1:], digits=12)
 
@@ -274,7 +283,8 @@ LOGS: list[Callable[[Path, Array], Path]] = [
     units_below_names, iso_dates, times_of_day, without_times, header_after_comments, with_magnetometer_and_temperature,
     with_quaternions, two_imus, axes_in_another_order, behind_the_start_of_a_board, named_values, objects_of_json,
     rows_of_a_sensor_each, files_of_a_phone, with_lost_samples, of_a_buffer, whole_seconds, of_a_vehicle,
-    tuples_of_python, array_of_numpy, in_minutes, in_hours_without_a_unit, a_time_for_each_sensor,
+    tuples_of_python, array_of_numpy, newest_first, newest_first_by_the_clock, in_minutes,
+    in_hours_without_a_unit, a_time_for_each_sensor,
     devices_one_after_the_other, devices_in_turn, devices_without_a_name, rows_of_one_kind,
 ]  # fmt: skip
 

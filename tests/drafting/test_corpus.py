@@ -248,6 +248,11 @@ CASES: dict[str, Case] = {
         worth=(8192.0 * G, 114.286 * DEG),
         zero=32768.0,
     ),
+    "16 bits read without their sign": Case(
+        write=d.raw(8192.0, 65.5, unsigned=True),
+        said=("65536 taken off",),
+        worth=(8192.0 * G, 65.5 * DEG),
+    ),
     "BNO055": Case(
         write=q.bno055,
         said=(

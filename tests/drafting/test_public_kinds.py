@@ -116,6 +116,40 @@ def test_names_before_the_values_below_boot_text(rows: Array, tmp_path: Path) ->
     assert check_read(tmp_path / "s", tmp_path / "log.txt", rows) == ""
 
 
+@pytest.mark.parametrize("name", ["delta_ms", "t"])
+def test_a_column_of_intervals_by_its_name_or_its_numbers(name: str, rows: Array, tmp_path: Path) -> None:
+    intervals = np.rint(1e3 * np.diff(rows[:, 0], prepend=0.0)) + np.resize([-1.0, 1.0, 0.0, 0.0, 0.0], len(rows))
+    table = np.column_stack([intervals, rows[:, 1:]])
+    log = text(tmp_path / "log.csv", NAMES.replace("t", name, 1), table)
+    assert check_read(tmp_path / "s", log, rows) == ""
+
+
+@pytest.mark.parametrize("late", [False, True], ids=["temperatures", "rows in blocks"])
+def test_other_numbers_of_one_size_are_no_intervals(late: bool, rows: Array, tmp_path: Path) -> None:
+    blocks = np.arange(len(rows) // 4 * 4).reshape(-1, 4)[:, ::-1].ravel()
+    cells = 1e6 + 1e3 * rows[blocks, 0] if late else 25.0 + 0.25 * np.resize([0.0, 1.0, 0.0, 2.0], len(blocks))
+    log = text(tmp_path / "log.csv", NAMES, np.column_stack([cells, rows[: len(blocks), 1:]]))
+    draft, _ = new_session(tmp_path / "s", log)
+    assert "time: column 't' does not grow as a time does and is not used" in draft.remarks
+
+
+def test_the_first_interval_may_be_that_since_the_start(rows: Array, tmp_path: Path) -> None:
+    intervals = np.append(123456.0, np.full(len(rows) - 1, 20.0))
+    log = text(tmp_path / "log.csv", NAMES.replace("t", "dt", 1), np.column_stack([intervals, rows[:, 1:]]))
+    assert check_read(tmp_path / "s", log, rows) == ""
+
+
+@pytest.mark.parametrize("newest_first", [True, False], ids=["newest rows first", "rows of others between"])
+def test_a_copy_continues_a_clock_past_midnight(newest_first: bool, rows: Array, tmp_path: Path) -> None:
+    start = datetime(2026, 6, 15, 23, 59, 30)
+    times = [f"{start + timedelta(seconds=t):%H:%M:%S.%f}" for t in rows[:, 0].tolist()]
+    lines = [f"{t},{','.join(f'{x:.8g}' for x in row[1:])}" for t, row in zip(times, rows.tolist(), strict=True)]
+    pairs = zip(lines, times, strict=True)
+    lines = lines[::-1] if newest_first else [line for own, t in pairs for line in (own, f"{t},,,,,,")]
+    (tmp_path / "log.csv").write_text("\n".join([NAMES, *lines]) + "\n", encoding="utf-8")
+    assert check_read(tmp_path / "s", tmp_path / "log.csv", rows) == ""
+
+
 def test_a_clock_that_grows_once_is_not_used(rows: Array, tmp_path: Path) -> None:
     """Seconds since 1970 in single precision."""
     table = np.column_stack([np.float32(1.7e9 + rows[:, 0]).astype(float), rows[:, 1:]])

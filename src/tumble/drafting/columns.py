@@ -17,7 +17,7 @@ import polars as pl
 from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is_text
 from tumble.drafting.dialects import copy_as_tables
 from tumble.drafting.foreign_log import HEAD_ROWS, LONGEST, SAMPLE_ROWS, ForeignLog, StatedColumns
-from tumble.drafting.repairs import nanoseconds_column
+from tumble.drafting.repairs import nanoseconds_column, with_signs
 from tumble.drafting.sensors_apart import are_sensors_apart, join_sensors, of_one_device
 from tumble.drafting.times import grows_mostly, times_of_column
 from tumble.errors import InputError
@@ -162,7 +162,7 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
     nameless = [name for name in free if name.isdecimal()]
     if len(free) < 3 or (accel and GYRO in named.triads):
         return log
-    numbers = log.read([*accel, *free])
+    numbers = np.column_stack([with_signs(column) for column in log.read([*accel, *free]).T])
     numbers = numbers[np.isfinite(numbers).any(axis=1)]
     table = np.full((len(numbers), len(names)), np.nan)
     table[:, [names.index(name) for name in (*accel, *free)]] = numbers

@@ -1,5 +1,6 @@
-"""Repaired copies of logs that a session file cannot describe: times in ticks or seconds and nanoseconds, counters
-that overflow, rows that are no samples, and successive positions."""
+"""Repaired copies of logs that a session file cannot describe: 16-bit numbers read as unsigned, times in ticks,
+intervals or seconds and nanoseconds, counters that overflow, rows in reverse order or without samples, and successive
+positions."""
 
 from __future__ import annotations
 
@@ -13,14 +14,15 @@ import numpy as np
 import polars as pl
 
 from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog
-from tumble.drafting.times import overflow_of, recordings_of
+from tumble.drafting.times import Stamps, grows_mostly, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, MAGNETOMETER
+from tumble.recording.columns.names import ACCEL, MAGNETOMETER, is_interval, time_unit
 from tumble.recording.formats import TIME
 from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import GAP_STEP
-from tumble.units import Array
+from tumble.recording.rows.timed import past_midnight
+from tumble.units import TIME_UNITS, Array
 
 _XSENS_TICK = 1e-4  # s, of SampleTimeFine
 _NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
@@ -52,7 +54,10 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
         repair = f"rows: those with {value:g} in column {column!r}, of one device", log.rows_of_instance
         return repair_log(_copy(log, folder, [*time, column], [repair]), folder, rate)
     stamps = log.stamps()
-    repairs = _leave_out_other_rows(log)
+    if stamps is not None and len(stamps.values) >= _FEWEST_ROWS and grows_mostly(-stamps.values):
+        remark = f"time: column {stamps.column!r} falls from row to row: rows put in the order of time"
+        return repair_log(_copy(log, folder, [stamps.column], [(remark, pl.DataFrame.reverse)]), folder, rate)
+    repairs = _leave_out_other_rows(log) + _restore_signs(log)
     time, in_seconds, time_repairs = _repair_time(log, rate)
     parts, why = None, ""
     untouched = len(log.files) == 1 and not (repairs or time_repairs) and rate is None
@@ -90,6 +95,8 @@ def _copy(
         for _, repair in repairs:
             rows = repair(rows)
         rows = rows.filter(pl.all_horizontal(pl.col(stamp).is_finite())) if stamp else rows
+        if log.clock is not None:
+            rows = rows.with_columns(pl.Series(log.clock, past_midnight(rows[log.clock].to_numpy())))
         if parts is None:
             name = "log.parquet" if len(log.files) == 1 else f"log-{number:02d}.parquet"
             files.append(source.path if source.path in folder.written else folder.new_file(name))
@@ -130,6 +137,11 @@ def _leave_out_other_rows(log: ForeignLog) -> list[Repair]:
 def _repair_time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Repair]]:
     """Return the time columns, whether the repairs replace them by a column TIME in s, and the repairs."""
     column, repairs = log.columns.time, list[Repair]()
+    if rate is None and (intervals := _intervals(log)) is not None:
+        name, unit = intervals
+        remark = f"time: column {name!r} has the intervals between samples, in {unit}: added up"
+        added = pl.col(name).fill_nan(0.0).cum_sum()
+        return [name], True, [(remark, lambda rows: _in_seconds(rows.with_columns(added), name, TIME_UNITS[unit]))]
     if column is None or rate is not None:
         return [] if column is None else [column], False, []
     nanoseconds = nanoseconds_column(log)
@@ -149,6 +161,27 @@ def _repair_time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, 
         remark = f"time: column {column!r} in ticks of {tick:g} s, made seconds"
         repairs.append((remark, lambda rows: _in_seconds(rows, column, tick)))
     return [column], tick is not None, repairs
+
+
+def _intervals(log: ForeignLog) -> tuple[str, str] | None:
+    """Return the column of intervals between samples in place of times, and its unit; None for other logs.
+
+    By their numbers, intervals are of one size, change without a trend, and are whole unless in s, so that temperatures
+    are none."""
+    column = log.columns.time or next(filter(is_interval, log.names), None)
+    steps = np.empty(0) if column is None else log.read([column])[:, 0]
+    steps = steps[np.isfinite(steps)]
+    if column is None or len(steps) < _FEWEST_ROWS or steps.min() < 0.0:
+        return None
+    low, median, high = np.quantile(steps, (0.05, 0.5, 0.95))
+    trend = np.mean(steps[len(steps) // 2 :]) - np.mean(steps[: len(steps) // 2])
+    is_even = 0.3 * median < low < high < 3.0 * median and abs(trend) < np.std(steps)
+    in_unit = median < 1.0 or np.array_equal(steps, np.floor(steps))
+    if not ((is_even and in_unit) or (is_interval(column) and trend < 0.5 * median)):
+        return None
+    unit = log.columns.time_unit or time_unit(column)
+    times = times_of_column(Stamps(column=column, values=np.cumsum(steps), unit=unit))
+    return None if times is None else (column, times.keys.get("time_unit", "s"))
 
 
 def _in_seconds(rows: pl.DataFrame, column: str, factor: float, nanoseconds: str | None = None) -> pl.DataFrame:
@@ -171,6 +204,35 @@ def nanoseconds_column(log: ForeignLog) -> str | None:
     return next((n for n in log.names if _NANO.search(n) and _NANO.sub("", n) == log.columns.time), None)
 
 
+# -------------------- 16-bit numbers read as unsigned --------------------
+
+_SIGN, _WRAP = 32768.0, 65536.0  # of 16-bit numbers
+_NEGATIVE_SHARE, _MIDDLE_SHARE = 1e-3, 0.02  # least share of numbers at the upper end, and less than this in the middle
+
+
+def _are_unsigned(columns: Array) -> bool:
+    """Return whether integers are signed 16-bit numbers read as unsigned: at both ends, hardly any in the middle."""
+    numbers = columns[np.isfinite(columns)]
+    if not len(numbers) or numbers.min() < 0.0 or numbers.max() >= _WRAP or (numbers != np.floor(numbers)).any():
+        return False
+    has_ends = numbers.min() < 0.5 * _SIGN and np.mean(numbers > 1.5 * _SIGN) > _NEGATIVE_SHARE
+    return bool(has_ends and np.mean(np.abs(numbers - _SIGN) < 0.25 * _SIGN) < _MIDDLE_SHARE)
+
+
+def with_signs(columns: Array) -> Array:
+    """Return columns, of the readings of one kind of sensor, with their signs if they were read as unsigned."""
+    return np.where(columns >= _SIGN, columns - _WRAP, columns) if _are_unsigned(columns) else columns
+
+
+def _restore_signs(log: ForeignLog) -> list[Repair]:
+    """Subtract 65536 from negative 16-bit numbers that were read as unsigned."""
+    triads = [triad.columns for triad in log.columns.triads.values() if _are_unsigned(log.read(triad.columns))]
+    names = [name for columns in triads for name in columns]
+    remark = f"{', '.join(names)}: 16-bit numbers read without their sign: 65536 taken off where it is due"
+    restore = pl.col(names) - _WRAP * (pl.col(names) >= _SIGN)
+    return [(remark, lambda rows: rows.with_columns(restore))] if names else []
+
+
 # -------------------- positions without turns between them --------------------
 
 
@@ -181,7 +243,7 @@ def _successive_positions(log: ForeignLog) -> tuple[list[tuple[int, int]] | None
     Raises InputError for positions of too few rows."""
     if len(log.files) > 1 or ACCEL not in log.columns.triads:
         return None, ""
-    accel = log.read(log.columns.triads[ACCEL].columns)
+    accel = with_signs(log.read(log.columns.triads[ACCEL].columns))
     if np.isnan(accel).all(axis=0).any() or not 2 * _FEWEST_ROWS <= len(accel) < LONGEST:
         return None, ""
     label = next((n for n in log.cells if _LABEL.fullmatch(n.strip()) and n != log.columns.time), None)

@@ -124,12 +124,15 @@ def raw(
     accel_per_g: float,
     gyro_per_deg: float,
     *,
+    unsigned: bool = False,
     names: Sequence[str] = NAMES,
     time: float = 1e3,
     offset: int = 0,
 ) -> Callable[[pl.DataFrame, Path], str]:
     def write(log: pl.DataFrame, folder: Path) -> str:
         a, g = counts(log, accel_per_g / G_STANDARD, gyro_per_deg / DEGREE)
+        if unsigned:
+            a, g = a % 65536, g % 65536
         stamps = np.round(log["t"].to_numpy() * time).astype(int)
         rows = np.column_stack([stamps, a + offset, g + offset]).astype(str).tolist()
         return written(folder / "raw.csv", [list(names), *rows])

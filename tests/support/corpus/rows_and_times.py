@@ -25,6 +25,15 @@ def steps_of(seconds: float, unit: float, gyro: float) -> Write:
     return write
 
 
+def intervals(name: str, unit: float) -> Write:
+    def write(log: pl.DataFrame, folder: Path) -> list[str]:
+        steps = np.diff(log["t"].to_numpy(), prepend=0.0) * unit
+        log.select(pl.Series(name, np.round(steps, 6)), *SENSORS).write_csv(folder / "log.csv")
+        return ["log.csv"]
+
+    return write
+
+
 def no_times(*columns: str) -> Write:
     def write(log: pl.DataFrame, folder: Path) -> list[str]:
         log.select(columns).write_csv(folder / "log.csv")

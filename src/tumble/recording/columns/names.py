@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 ACCEL, GYRO, MAGNETOMETER, TIME_KIND = "accel", "gyro", "mag", "time"
-OTHER = "other"
-"""Kind of columns of quantities that cannot be calibrated."""
+INTERVAL, OTHER = "interval", "other"
+"""Kinds of columns: times since the previous sample, and quantities that cannot be calibrated."""
 SENSOR_KINDS = (ACCEL, GYRO, MAGNETOMETER)
 
 IDENTIFYING_WEIGHT = 4.0
@@ -295,6 +295,15 @@ def is_no_sensor(name: str) -> bool:
     [True, True, True, False]
     """
     return bool(_score(OTHER, name)) or (name != "T" and bool(_score(TIME_KIND, name)))
+
+
+def is_interval(name: str) -> bool:
+    """Return whether a column has the times since the previous sample by its name.
+
+    >>> [is_interval(name) for name in ("dt", "delta_t [us]", "t")]
+    [True, True, False]
+    """
+    return bool(_score(INTERVAL, name))
 
 
 def in_axis_order(names: Sequence[str]) -> tuple[str, str, str]:
