@@ -14,6 +14,7 @@ from click.testing import CliRunner
 from tests.support.calibrated import calibration, with_fields
 from tests.use.test_compare import of_common_gravity, of_common_time_base
 from tumble.cli import main
+from tumble.inference.estimate import Outcome
 from tumble.lab.registry.records import State
 from tumble.lab.registry.registry import open_registry
 from tumble.lab.registry.trend import Trend
@@ -29,6 +30,22 @@ def trend_of(folder: Path, *calibrations: Calibration) -> Trend:
             other = with_fields(made, log_sha256=f"{i:064x}")
             registry.add_calibration(other, performed=datetime(2020 + i, 3, 1, tzinfo=UTC))
         return registry.trend("A-0007")
+
+
+def test_a_trend_judges_the_latest_calibration_as_its_record(tmp_path: Path) -> None:
+    jump = "biases of the gyros jump"
+    changed = Outcome(remarks=(jump,), concerns={jump: ("gyro.bias",)}, unsteady=(jump,))
+    first, second = calibration(), replace(calibration(), outcome=changed)
+    text = 'format = 1\n[periodic]\n"gyro.bias" = "90 deg/h"\n"accel.scale" = "5000 ppm"\n'
+    (tmp_path / "limits.toml").write_text(text, "utf-8")
+    with open_registry(tmp_path / "r.sqlite", create=True) as registry:
+        registry.set_limits(first.model or "", tmp_path / "limits.toml")
+        for i, made in enumerate((first, second)):
+            record = registry.add_calibration(with_fields(made, log_sha256=f"{i:064x}"), occasion="periodic")
+        verdict, found = registry.verdict(record), registry.trend(record.serial)
+    assert verdict is not None
+    assert found.results == {j.name: j.result for j in verdict.judgements}
+    assert (found.results["gyro.bias.x"], found.results["accel.scale.x"]) == ("undecided", "pass")
 
 
 @pytest.mark.parametrize("sigmas", [0.0, 2.5, 3.6, -3.6])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import os
 import re
 from collections.abc import Mapping
@@ -30,7 +31,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.session import AirConditions, Circumstances, Site
 from tumble.recording.session_file import session_of
 from tumble.result.calibration import read_calibration
-from tumble.result.coverage import expanded
+from tumble.result.coverage import expanded, expanded_of
 from tumble.result.further import linear_errors_text
 from tumble.result.parts import Launch, Parameter
 from tumble.result.uncertainty_budget import shares_of_priors
@@ -351,7 +352,11 @@ def test_a_customer_reads_no_opinions_and_no_advice_and_signs_beside_the_result(
     path = files(tmp_path, certificate=text)
     made = read_calibration(path)
     outcome = Outcome(remarks=REMARKS, concerns=dict.fromkeys(REMARKS, ("gyro",)))
-    notes = ("all turns have about 50 °/s: scale factors hold at this rate; state gyro_cubic in [device.prior]",)
+    notes = (
+        "all turns have about 50 °/s: scale factors hold at this rate; state gyro_cubic in [device.prior]",
+        "the field is not the same in all of them; record away from steel, with motors off",
+        "curvatures have their usual sizes; warm or cool the device through those of its use; u includes this",
+    )
     with_fields(made, outcome=outcome, notes=notes).write(path, force=True)
     for ending in ("html", "pdf"):
         write_certificate(path, tmp_path / f"r.{ending}", tmp_path / "certificate.toml")
@@ -361,6 +366,8 @@ def test_a_customer_reads_no_opinions_and_no_advice_and_signs_beside_the_result(
     assert "device.prior" not in page
     assert "Accepted with scatter" in page
     assert "scale factors hold at this rate" in page
+    assert "curvatures have their usual sizes; u includes this" in page.replace("Curvatures", "curvatures")
+    assert "steel" not in page
     with opened(tmp_path / "r.pdf") as document:
         pages = [" ".join(each.get_text().split()) for each in document]
     assert "head of the laboratory" in pages[0]
@@ -411,6 +418,11 @@ def test_scale_factors_in_gravity_at_the_place_are_not_certified(tmp_path: Path)
     limits = parse_limits('format = 1\n[periodic]\n"accel.scale" = "5000 ppm"\n', "limits")
     (verdict,) = judge_calibration(read_calibration(path), limits)
     assert [j.expanded for j in verdict.judgements] == pytest.approx([2.0 * 0.03 / 9.80665] * 3, rel=0.1)
+    few = tuple(replace(p, u=0.02, dof=2.0) if p.name.startswith("accel.scale") else p for p in made.parameters)
+    (verdict,) = judge_calibration(replace(read_calibration(path), parameters=few), limits)
+    assert [j.expanded for j in verdict.judgements] == pytest.approx(
+        [expanded_of(math.hypot(0.02, 0.03 / 9.80665), 2.1)] * 3, rel=0.05
+    )
 
 
 @pytest.fixture(scope="module")

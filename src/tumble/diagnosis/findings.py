@@ -11,8 +11,6 @@ from tumble.units import DEGREE, G_STANDARD
 
 BIAS_UNITS: dict[str, tuple[float, str]] = {"accel": (1e-6 * G_STANDARD, "µg"), "gyro": (DEGREE / 3600.0, "°/h")}
 """Unit (SI, name) of biases in sentences, by kind of sensor."""
-CHANGES = {"jump", "shift", "drift", "scale-factor drift", "in-run bias", "wandering sensor"}
-"""Causes by which parameters change in the session."""
 SENSORS = {"accel": "accelerometers", "gyro": "gyros"}
 
 
@@ -36,17 +34,15 @@ class Finding:
         Whether they cannot be used; otherwise the finding is a remark.
     causes : tuple of str
         Names of possible causes, the most likely first.
+    unsteady : bool
+        Whether parameters changed in the session by more than is usual.
     """
 
     sentence: str
     concerns: tuple[str, ...] = ()
     refuses: bool = False
     causes: tuple[str, ...] = ()
-
-    @property
-    def unsteady(self) -> bool:
-        """True for a remark that parameters changed in the session by more than is usual."""
-        return not self.refuses and not CHANGES.isdisjoint(self.causes[:1])
+    unsteady: bool = False
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -75,7 +71,7 @@ def outcome_of(findings: Iterable[Finding], unobservable: tuple[str, ...] = ()) 
         remarks=tuple(finding.sentence for finding in findings if not finding.refuses),
         unobservable=unobservable,
         concerns={finding.sentence: finding.concerns for finding in findings if finding.concerns},
-        unsteady=tuple(finding.sentence for finding in findings if finding.unsteady),
+        unsteady=tuple(finding.sentence for finding in findings if finding.unsteady and not finding.refuses),
     )
 
 

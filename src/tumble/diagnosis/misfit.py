@@ -52,6 +52,7 @@ UNUSUAL_RATIO = 3.0
 and the in-run bias of one sensor against those of its kind."""
 UNUSUAL_GROUP_RATIO, WIDENED_RATIO = 5.0, 10.0
 """The same for the size of a group of parameters, and for the widening of its prior at the maximum."""
+CHANGES = ("jump", "shift")  # causes by which parameters are others before than after
 MOVEMENT_RATIO = 10.0
 """Scatter over noise of turns, relative to that of gyros at rest, above which turns have a cause of their own."""
 LARGEST_DAMAGE, ACCEPTED_DAMAGE = 3.0, 0.5
@@ -296,7 +297,8 @@ def _session_findings(
     for cause in named:
         if cause not in harmful:
             sentence = f"probable cause: {cause.sentence}"
-            yield Finding(sentence=sentence, concerns=cause.concerns, causes=(cause.name, *cause.rivals))
+            possible = cause.name, *cause.rivals
+            yield Finding(sentence=sentence, concerns=cause.concerns, causes=possible, unsteady=cause.name in CHANGES)
     yield from _erratic_biases(linearised)
 
 
@@ -422,7 +424,7 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
                     f"{parameters} drift by {changed} over the session, the values given are means over its "
                     f"rests{IN_U}; let the device warm up, or make the session shorter"
                 )
-                yield Finding(sentence=sentence, concerns=(f"{kind}.{what}",), causes=(cause,))
+                yield Finding(sentence=sentence, concerns=(f"{kind}.{what}",), causes=(cause,), unsteady=True)
         size, time, bias = by_name.get(f"{kind}_in_run"), by_name.get(f"{kind}_time"), (f"{kind}.bias",)
         if size is None or time is None:
             continue
@@ -436,10 +438,10 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
                     ", and last longer than the session: a drift, a jump, or warm-up after power-on; switch on earlier"
                 )
             cause = "drift" if lasting else "in-run bias"
-            yield Finding(sentence=f"{sentence}{IN_U}", concerns=bias, causes=(cause,))
+            yield Finding(sentence=f"{sentence}{IN_U}", concerns=bias, causes=(cause,), unsteady=True)
         for sensor in block.sensors:
             ratio = by_name.get(f"{kind}.in_run.{sensor}")
             if ratio is not None and is_unusual(ratio):
                 wander = with_unit(ratio.value * size.value, unit)
                 sentence = f"{kind}.bias.{sensor} wanders by {wander}, those of the other {words} by {in_run}{IN_U}"
-                yield Finding(sentence=sentence, concerns=bias, causes=("wandering sensor",))
+                yield Finding(sentence=sentence, concerns=bias, causes=("wandering sensor",), unsteady=True)

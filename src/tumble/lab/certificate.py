@@ -65,14 +65,13 @@ _ACCREDITED = ("procedure", "traceability", "issued")
 """Keys required in a certificate under accreditation (ISO/IEC 17025, 7.8)."""
 
 
-_COMMANDS = ("[", "`", "--", "tumble ", " = true")  # marks of clauses with keys, commands and options
 _ASIDE = re.compile(r" \([^()]*(?:--|`|\[)[^()]*\)|, (?:and|or) (?=[^;:]*(?:--|`|\[))[^;:]*")
-_CLAUSE = re.compile(r"([;:] |\. (?=[A-Z]))")
 _ADVICE = re.compile(
-    r"(?:calibrate|come|correct|fasten|for others turn|For values|give|is the|leave|let|longer rests|look|make|"
-    r"measure|otherwise|put|record (?:it|more)|rests in|state|switch|take|turn (?:smoothly|at)|wait|write)\b"
+    r".*(?:--|`|\[|tumble | = true)|[;:.] (?:calibrate|check|come|correct|fasten|for others turn|For values|give|hold|"
+    r"is the|leave|let|longer rests|look|make|measure|otherwise|put|record(?! \d)|repeat|rests in|state|switch|take|"
+    r"turn (?:smoothly|at|back)|use|wait|warm (?:it|or)|write)\b"
 )
-"""Beginnings of clauses that advise the operator of the program."""
+"""Clauses with commands, options or keys, and those that tell the operator what to do."""
 
 
 class _CertificateTable(BaseModel):
@@ -185,19 +184,15 @@ class Certificate(_CertificateTable):
 
 def for_reader(sentence: str) -> str:
     """Return a sentence of a calibration without advice to the operator, for the reader of a certificate."""
-    first, *others = _CLAUSE.split(_ASIDE.sub("", sentence))
-    kept = "" if any(mark in first for mark in _COMMANDS) else first
-    for separator, clause in zip(others[::2], others[1::2], strict=True):
-        if not (_ADVICE.match(clause) or any(mark in clause for mark in _COMMANDS)):
-            kept += f"{separator}{clause}" if kept else clause
+    clauses = re.split(r"(?=[;:] |\. [A-Z])", _ASIDE.sub("", sentence))
+    kept = "".join(clause for clause in clauses if not _ADVICE.match(clause)).lstrip(";:. ")
     return kept.replace("probable cause: ", "what would explain the residuals: ")
 
 
-def statements_of_result(calibration: Calibration) -> list[str]:
-    """Return what bears on the use of a result beside its remarks, for the reader of a certificate."""
+def statements_of_result(calibration: Calibration, *first: str) -> list[str]:
+    """Return the `first` sentences and what else bears on the use of a result, for the reader of a certificate."""
     origin = calibration.provenance
-    sentences = (*remarks(calibration), *origin.assumptions, *origin.notes)
-    return [each for each in map(for_reader, sentences) if each]
+    return [*filter(None, map(for_reader, (*first, *remarks(calibration), *origin.assumptions, *origin.notes)))]
 
 
 def check_certificate(certificate: Certificate, calibration: Calibration) -> Calibration | None:

@@ -16,7 +16,6 @@ from tumble.errors import InputError
 if TYPE_CHECKING:
     from tumble.lab.registry.records import Record
     from tumble.lab.registry.registry import Registry
-    from tumble.views.blocks import Block
 
 _DAY: dict[str, Any] = {"type": click.DateTime(["%Y-%m-%d"]), "metavar": "YYYY-MM-DD"}
 _PLACE = params.registry_place(required=True)
@@ -71,21 +70,13 @@ def _show_record(opened: Registry, record: Record, every: bool) -> bool:
     """Print a record with its verdict, and return True if it passes."""
     from tumble.lab.registry.registry import logs_of
     from tumble.lab.registry.views import record_blocks
-    from tumble.result.calibration import calibration_of
 
-    verdict = opened.verdict(record)
-    calibration = (
-        opened.calibration(record)
-        if record.accepted
-        else calibration_of(opened.file(record), f"record {record.number}")
-    )
+    verdict, calibration = opened.verdict(record), opened.calibration(record)
     logs = [{"session": session, "log_sha256": log} for session, log in logs_of(calibration)]
     content = {"record": record, "launches": logs, "parameters": calibration.parameters, "acceptance": verdict}
     console.show(content, lambda: record_blocks(record, calibration, verdict, every=every))
-    if verdict is None:
+    if verdict is None or verdict.result == "pass":
         return record.accepted
-    if verdict.result == "pass":
-        return True
     for reason in verdict.reasons:
         console.warn(f"{verdict.occasion} check: {reason}")
     return False
@@ -182,11 +173,7 @@ def limits(model: str | None, file: Path | None, place: str) -> None:
     shown = [each for each in records if model is None or (each.model == model and each.in_force)]
     if model is not None and not shown:
         raise InputError(f"type {model!r}: expected a device type with limits, found none for it")
-
-    def blocks() -> list[Block]:
-        return [limits_table(shown)] if model is None else limits_blocks(shown[0])
-
-    console.show({"limits": shown}, blocks)
+    console.show({"limits": shown}, lambda: [limits_table(shown)] if model is None else limits_blocks(shown[0]))
 
 
 @registry.command

@@ -35,7 +35,7 @@ from tumble.lab.limits import OCCASIONS, Limits, Occasion
 from tumble.recording.session.document import UNKNOWN_SITE_GRAVITY_U
 from tumble.result.accepted import accepted_kinds, accepted_part
 from tumble.result.calibration import Calibration
-from tumble.result.coverage import expanded_of
+from tumble.result.coverage import expanded_of, welch_satterthwaite
 from tumble.result.parts import Parameter
 from tumble.sensors.parameters import group_name, group_of, name_covers
 from tumble.units import two_digits
@@ -52,7 +52,6 @@ RISK_DEFINITION = (
 Result = Literal["fail", "undecided", "conditional fail", "conditional pass", "pass"]
 RESULTS_WORST_FIRST: tuple[Result, ...] = get_args(Result)
 """A parameter without a value or without U, or that changed while it was recorded, is undecided."""
-CHANGED = "changed while it was recorded"
 SMALLEST_RISK = 1e-4  # smaller ones depend on the far tails of a distribution that is only a model
 
 
@@ -106,7 +105,8 @@ class Verdict:
         """Names of the parameters that do not pass, by result."""
         names: dict[str, list[str]] = {"fail": [], "conditional fail": [], "conditional pass": [], "without U": []}
         for j in self.judgements:
-            undecided = "not determined" if j.value is None else "without U" if j.expanded is None else CHANGED
+            undecided = "not determined" if j.value is None else "without U"
+            undecided = "changed while it was recorded" if j.expanded is not None else undecided
             names.setdefault(undecided if j.result == "undecided" else j.result, []).append(j.name)
         return [f"{result}: {', '.join(each)}" for result, each in names.items() if each and result != "pass"]
 
@@ -115,8 +115,8 @@ def judge_calibration(calibration: Calibration, limits: Limits) -> list[Verdict]
     """Judge a calibration in each check that has limits.
 
     Sensors that are not accepted count as not determined, and parameters that changed are undecided. Raises
-    CalibrationError if it cannot be converted to the frame of the limits. U of scale factors includes gravity at the
-    place of the readings where that is their unit."""
+    CalibrationError if it cannot be converted to the frame of the limits. U of scale factors in gravity at the place
+    includes what is not known of it."""
     judged = (judge_check(calibration, limits, occasion) for occasion in OCCASIONS)
     return [verdict for verdict in judged if verdict is not None]
 
@@ -134,7 +134,9 @@ def judge_check(calibration: Calibration, limits: Limits, occasion: Occasion) ->
     if site is not None and site.gravity_is_unit:  # limits are in SI
         of_gravity = UNKNOWN_SITE_GRAVITY_U / site.gravity
         parameters = tuple(
-            replace(p, u=math.hypot(p.u, of_gravity), dof=None) if p.u and group_name(p.name) == "accel.scale" else p
+            replace(p, u=math.hypot(p.u, of_gravity), dof=welch_satterthwaite([(p.u**2, p.dof), (of_gravity**2, None)]))
+            if p.u and group_name(p.name) == "accel.scale"
+            else p
             for p in parameters
         )
     unsteady = {p.name for p in parameters if calibration.outcome.is_unsteady(group_name(p.name))}

@@ -32,7 +32,6 @@ from tumble.lab.certificate import (
     Certificate,
     certificate_limits,
     check_certificate,
-    for_reader,
     read_certificate,
     statements_of_result,
 )
@@ -99,8 +98,7 @@ def dcc(calibration: Calibration, *, certificate: Certificate | FilePath) -> Exp
         state=STATES[certificate.state],
         device=calibration.device,
         declarations=[
-            *map(for_reader, calibration.outcome.remarks),
-            *statements_of_result(calibration),
+            *statements_of_result(calibration, *calibration.outcome.remarks),
             *filter(None, [statement_of_priors(calibration), certificate.changed]),
             SCOPE_STATEMENT,
             *certificate.remarks,

@@ -204,8 +204,7 @@ def _sections(
     yield section("Result", *verdict_blocks(calibration, for_reader), *value_blocks(calibration, extra_columns), *found)
     if acceptance is not None:
         yield limits_section(acceptance, checks)
-    further = (notes(*statements_of_result(calibration)), *annexes(calibration, "c", short=True))
-    yield from (each for each in further if each is not None)
+    yield from filter(None, (notes(*statements_of_result(calibration)), *annexes(calibration, "c", short=True)))
     yield provenance(source)
 
 
@@ -242,15 +241,8 @@ def _statements(certificate: Certificate, calibration: Calibration, checks: Sequ
     agreed = f" Agreed beforehand: {certificate.agreed}." if certificate.agreed else ""
     rule = f"{_RULE}{agreed}{''.join(check.risk_sentence for check in checks)}" if certificate.limits else ""
     traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
-    stated = (
-        rule,
-        statement_of_priors(calibration),
-        traced,
-        certificate.changed,
-        *certificate.remarks,
-        SCOPE_STATEMENT,
-    )
-    return tuple(filter(None, stated))
+    stated = (rule, statement_of_priors(calibration), traced, certificate.changed, *certificate.remarks)
+    return (*filter(None, stated), SCOPE_STATEMENT)
 
 
 def statement_of_priors(calibration: Calibration) -> str:

@@ -23,17 +23,16 @@ _FITS: Mapping[SensorKind, tuple[str, ...]] = {
 }
 
 
-def accepted_part(calibration: AnyCalibration, name: str | None = None) -> AnyCalibration:
+def accepted_part(calibration: AnyCalibration) -> AnyCalibration:
     """Return a calibration unchanged, or that of its accelerometers or gyros alone if only these are accepted.
 
-    Sensors left out are named in `provenance.absent`. Raises CalibrationError, which calls the calibration `name`, if
-    neither is accepted."""
+    Sensors left out are named in `provenance.absent`. Raises CalibrationError if neither is accepted."""
     if calibration.outcome.accepted:
         return calibration
     kinds = accepted_kinds(calibration)
     if len(kinds) != 1:
         raise CalibrationError(
-            f"{name or f'calibration of {calibration.serial!r}'}: expected an accepted one, found: "
+            f"calibration of {calibration.serial!r}: expected an accepted one, found: "
             f"{'; '.join(calibration.outcome.reasons)}"
         )
     return _alone(calibration, kinds[0])

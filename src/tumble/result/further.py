@@ -141,9 +141,9 @@ def decided_by_priors(calibration: Calibration) -> str | None:
     if ratio <= OPEN_BIAS_RATIO:
         return None
     return (
-        f"the usual size, not the data, decides u of {'; '.join(groups)}: u of a single bias is up to "
-        f"{ratio:.1f} times that of the corrected specific force; rests in oblique "
-        "attitudes (corners, edges) would settle it: tumble plan"
+        f"the usual size, not the data, decides u of {'; '.join(groups)}: u of a single bias is up to {ratio:.1f} "
+        "times that of the corrected specific force; rests in oblique attitudes (corners, edges) would settle it: "
+        "tumble plan"
     )
 
 

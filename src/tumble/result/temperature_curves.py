@@ -112,11 +112,11 @@ def temperature_curve(calibration: CalibrationData, name: str, temperature: Arra
         degrees = np.divide(u2**2, spread, out=np.full(len(u2), math.inf), where=spread > 0.0)
         least = min((p.dof for p in parameters if p.dof is not None), default=math.inf)
         degrees = np.maximum(degrees, least)
-        for weight, variance, p in zip(np.abs(P).T, np.diag(S), parameters, strict=True):
+        shares = np.minimum(np.abs(P) * np.sqrt(np.diag(S)) / np.sqrt(np.maximum(u2, 1e-300))[:, None], 1.0)
+        for share, p in zip(shares.T, parameters, strict=True):
             if p.dof is not None:
-                share = np.minimum(np.sqrt(variance * weight**2 / np.maximum(u2, 1e-300)), 1.0)
-                of_term = map(degrees_of_factor, (coverage_factor(p.dof) * share).tolist())
-                degrees = np.minimum(degrees, [math.inf if each is None else each for each in of_term])
+                factors = (coverage_factor(p.dof) * share).tolist()
+                degrees = np.minimum(degrees, [degrees_of_factor(k) or math.inf for k in factors])
         factors = [k for k in map(stated_factor, degrees.tolist()) if k is not None]
         expanded = np.array(factors) * np.sqrt(u2) if len(factors) == len(u2) else None
     return Curve(

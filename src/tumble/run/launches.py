@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, combinations, zip_longest
+from itertools import chain, combinations, product, zip_longest
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -18,9 +18,10 @@ import numpy as np
 import scipy
 
 from tumble.arguments import checked
+from tumble.diagnosis.findings import Finding, outcome_of
 from tumble.errors import InputError
 from tumble.files import FilePath
-from tumble.inference.estimate import GroupFinding, Outcome
+from tumble.inference.estimate import GroupFinding
 from tumble.inference.magnetic_estimate import block_near
 from tumble.inference.prediction import Prediction, prediction
 from tumble.inference.prior import DevicePrior
@@ -135,19 +136,14 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
     first, session, count = launches[0], runs[0].session, len(runs)
     sources = [launch.provenance for launch in launches]
     digests = [each.log_sha256 or "" for each in sources]
-    for run in runs[1:]:
-        if run.calibration.serial != first.serial:
+    for run, key in product(runs[1:], ("serial", "model", "grade")):
+        expected, found = (getattr(each.session.device, key) for each in (runs[0], run))
+        if None not in (expected, found) and expected != found:
+            what = "a launch of device " if key == "serial" else ""
             raise InputError(
-                f"{run.session.name}: expected a launch of device {first.serial!r} like the first session, found "
-                f"{run.calibration.serial!r}; calibrate each device by itself"
+                f"{run.session.name}: device.{key}: expected {what}{expected!r} like the first session, found "
+                f"{found!r}; calibrate each device by itself"
             )
-        for key in ("model", "grade"):
-            expected, found = (getattr(each.session.device, key) for each in (runs[0], run))
-            if None not in (expected, found) and expected != found:
-                raise InputError(
-                    f"{run.session.name}: device.{key}: expected {expected!r} like the first session, found {found!r}; "
-                    "serial numbers must be unique"
-                )
     check_recordings([run.session for run in runs], digests)
     names = [name for name in first if all(name in launch for launch in launches)]
     references = [launch.temperature.references for launch in launches]
@@ -172,10 +168,16 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
     ):
         budget = budget.with_source(each, part)
     by_name = dict(zip(names, mean.tolist(), strict=True))
-    outcomes = [(run.name, run.calibration.outcome) for run in runs]
-    remarks = [*_differing_launches(runs, parameters, covariances)]
-    remarks += [(f"{name}: {remark}", remark in each.unsteady) for name, each in outcomes for remark in each.remarks]
-    remarks.sort(key=lambda remark: not remark[1])
+    findings = [
+        Finding(
+            sentence=f"{run.name}: {sentence}",
+            concerns=outcome.concerns.get(sentence, ()),
+            refuses=sentence in outcome.reasons,
+            unsteady=sentence in outcome.unsteady,
+        )
+        for run, outcome in ((run, run.calibration.outcome) for run in runs)
+        for sentence in (*outcome.reasons, *outcome.remarks)
+    ]
     convention = frame_of(first.frame)
     return Calibration(
         device=replace(first.device, imu=_common_items([launch.imu for launch in launches])),
@@ -186,12 +188,9 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
         accel=_mean_model(convention, session.accel_block, by_name),
         gyro=_mean_model(convention, session.gyro_block, by_name),
         mag=None if first.mag is None else _mean_model("accelerometer", block_near(first.mag.matrix), by_name),
-        outcome=Outcome(
-            reasons=tuple(f"{name}: {reason}" for name, each in outcomes for reason in each.reasons),
-            remarks=tuple(sentence for sentence, _ in remarks),
-            unobservable=tuple(dict.fromkeys(name for _, each in outcomes for name in each.unobservable)),
-            concerns={f"{name}: {sentence}": on for name, each in outcomes for sentence, on in each.concerns.items()},
-            unsteady=tuple(sentence for sentence, unsteady in remarks if unsteady),
+        outcome=outcome_of(
+            [*_differing_launches(runs, parameters, covariances), *findings],
+            tuple(dict.fromkeys(name for launch in launches for name in launch.outcome.unobservable)),
         ),
         groups=_groups(launches, parameters),
         prediction=_prediction(runs, names, mean, covariance),
@@ -295,9 +294,8 @@ def _mean_parameters(
 
 def _differing_launches(
     runs: Sequence[LaunchRun], parameters: Sequence[Parameter], covariances: Array
-) -> Iterator[tuple[str, bool]]:
-    """Yield a remark, and whether the mean is not that of one state, if launches differ by more than power-ons of one
-    device of its grade, and their u, explain.
+) -> Iterator[Finding]:
+    """Yield a remark if launches differ by more than power-ons of one device of its grade, and their u, explain.
 
     For a parameter of the linear model s²/(s_g² + n²) has an F distribution, with the usual s_g from power-on to
     power-on of the grade and the u of a launch, n. The least probability is multiplied by the number of parameters."""
@@ -321,15 +319,16 @@ def _differing_launches(
     if not tested:
         return
     chance, ratio, p = min(tested, key=lambda each: (each[0], -each[1]))
-    if len(tested) * chance < DIFFERING_CHANCE:
+    chance *= len(tested)
+    if chance < DIFFERING_CHANCE:
         size, unit = shown_in(p.name, p.unit, spread_of(TURN_ON[grade], p.name))
-        yield (
+        sentence = (
             f"the launches differ by more than power-ons and noise of one device: {p.name} has a standard deviation of "
             f"{two_digits((p.run_to_run or 0.0) / size)} {unit} from launch to launch, {ratio**0.5:.1f} times what is "
-            f"usual for the grade {grade} (by chance with probability {len(tested) * chance:.1g}): they are of "
-            "different devices, or the device was changed or much warmer in between; calibrate each launch alone",
-            len(tested) * chance < UNSTEADY_CHANCE,
+            f"usual for the grade {grade} (by chance with probability {chance:.1g}): they are of different devices, or "
+            "the device was changed or much warmer in between; calibrate each launch alone"
         )
+        yield Finding(sentence=sentence, unsteady=chance < UNSTEADY_CHANCE)
 
 
 def _median_noise(launches: Sequence[Calibration], kind: str) -> float | None:

@@ -39,13 +39,12 @@ from tumble.files import FilePath
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.result.coverage import UNLEARNED, expanded_of, unshared_variance, welch_satterthwaite
 from tumble.result.further import remarks as remarks_of
-from tumble.result.parts import Estimated
+from tumble.result.parts import Estimated, Parameter
 from tumble.result.shared_errors import shared_errors
 from tumble.units import Array
 
 CHANCE = 0.01
 """Probability that the largest difference of two calibrations that agree is significant."""
-LEAST_TAIL = 1e-300  # of a normal deviate
 LEAST_PROBABILITY = 1e-3
 """Two calibrations contradict each other if chance exceeds their χ² with a smaller probability than this."""
 
@@ -207,13 +206,10 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
     if covariances[0] is not None and covariances[1] is not None:
         covariance = covariances[0] + covariances[1] - shared[0] @ shared[1].T - shared[1] @ shared[0].T
     learned = [i for i, d in enumerate(differences) if d.u != 0.0]
-    judged, single = [differences[i] for i in learned], [each for each in (a, b) if not each.evidence.launches]
-    estimated = judged if len(single) == len((a, b)) else [each[d.name] for each in single for d in judged]
     chi_square, degrees, probability = _chi_square(
-        judged,
+        [differences[i] for i in learned],
         None if covariance is None else covariance[np.ix_(learned, learned)],
-        min((each.dof for each in estimated if each.u and each.dof is not None), default=None),
-        separate=estimated is not judged,
+        [each for each in (a, b) if not each.evidence.launches],
     )
     remarks = list(_remarks(first, second, frame))
     if sources:
@@ -231,23 +227,26 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
 
 
 def _chi_square(
-    differences: Sequence[Difference], covariance: Array | None, fewest: float | None, *, separate: bool
+    differences: Sequence[Difference], covariance: Array | None, single: Sequence[Calibration]
 ) -> tuple[float, float, float] | tuple[None, None, None]:
     """Return chi-square, its degrees of freedom, and the probability that chance exceeds it (module docstring).
 
-    The common scale of C was estimated with the `fewest` degrees of freedom, or is exact if None; `separate`: the
-    variances were estimated each by itself."""
+    `single` are the calibrations, of the two, that are of one launch."""
     if covariance is None or np.any(np.diag(covariance) <= 0.0):
         return None, None, None
     u = np.sqrt(np.diag(covariance))
     correlation, scaled = covariance / np.outer(u, u), np.array([d.value for d in differences]) / u
-    if separate:
-        z = scipy.special.ndtri(np.maximum([0.5 * (d.by_chance or 0.0) for d in differences], LEAST_TAIL))
+    estimated: Sequence[Difference | Parameter] = differences
+    if len(single) < 2:
+        estimated = [each[d.name] for each in single for d in differences]
+        tails = [max(0.5 * (d.by_chance or 0.0), 1e-300) for d in differences]  # the deviates are finite
+        z = scipy.special.ndtri(tails)
         scale = len(z) / float(np.sum(correlation**2))
         chi_square, degrees = scale * float(z @ z), scale * len(z)
     else:
         degrees = float(np.linalg.matrix_rank(correlation, hermitian=True))
         chi_square = max(0.0, float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled))
+    fewest = min((each.dof for each in estimated if each.u and each.dof is not None), default=None)
     if fewest is None:
         return chi_square, degrees, float(scipy.special.chdtrc(degrees, chi_square))
     return chi_square, degrees, float(scipy.special.fdtrc(degrees, fewest, chi_square / degrees))

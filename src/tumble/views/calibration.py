@@ -11,7 +11,6 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from itertools import chain
-from types import MappingProxyType
 
 import numpy as np
 
@@ -174,8 +173,9 @@ def calibration_blocks(
         lines.append(f"{each.method}: {done}")
     for other in others:
         changes = {p.name: other[p.name].value - p.value for p in calibration.parameters if p.name in other}
-        difference = _largest_change(calibration, changes, other)
-        lines.append(f"{other.method} differs from {calibration.method} by {difference}")
+        lines.append(
+            f"{other.method} differs from {calibration.method} by {_largest_change(calibration, changes, other)}"
+        )
     lines += notes_without_expanded(parameters)
     if accepted_kinds(calibration):
         to = "px4 -o imu.params (ardupilot, " if calibration.imu else "json -o imu.json ("
@@ -222,16 +222,13 @@ def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
     return [*shown, f"more with --all: {', '.join([*counted, 'all tables'])}"]
 
 
-def _largest_change(
-    calibration: Calibration, changes: Mapping[str, float], other: Mapping[str, Parameter] = MappingProxyType({})
-) -> str:
+def _largest_change(calibration: Calibration, changes: Mapping[str, float], other: Calibration | None = None) -> str:
     """Return the largest change of a parameter in units of u, or of u combined with that of an `other` calibration."""
-    u = {
-        p.name: math.hypot(p.u, (other[p.name].u if p.name in other else None) or 0.0)
+    sigmas = {
+        p.name: abs(changes[p.name]) / math.hypot(p.u, (other[p.name].u if other else None) or 0.0)
         for p in calibration.parameters
-        if p.u
+        if p.u and p.name in changes
     }
-    sigmas = {name: abs(change) / u[name] for name, change in changes.items() if name in u}
     name, unit = max(sigmas, key=sigmas.__getitem__, default=""), "combined u" if other else "u"
     return f"at most {significant(sigmas[name], 2)} {unit} ({name})" if name else "an amount that cannot be given in u"
 

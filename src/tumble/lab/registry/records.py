@@ -8,7 +8,7 @@ from typing import ClassVar, Literal
 
 from tumble.lab.limits import Limits, Occasion, parse_limits
 
-NOT_ACCEPTED = "not accepted"  # word of a calibration that could not be made
+NOT_ACCEPTED = "not accepted"  # verdict on a calibration of which nothing is accepted
 State = Literal["as-found", "as-left", "unchanged"]
 """State of the device: before an adjustment, after it, or without one."""
 
@@ -37,8 +37,7 @@ class Record:
 
     @property
     def withdrawn(self) -> bool:
-        """Whether the device failed this check or was not judged, so that it must not be used until it is calibrated
-        again."""
+        """Whether the device must not be used until it is calibrated again: it failed this check or was undecided."""
         return self.verdict in (NOT_ACCEPTED, "fail", "conditional fail", "undecided")
 
     @property

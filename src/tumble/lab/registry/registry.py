@@ -18,12 +18,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tumble.documents import text_of_document
-from tumble.errors import InputError, needs_extra
+from tumble.errors import CalibrationError, InputError, needs_extra
 from tumble.files import FilePath
 from tumble.lab.conformity import Verdict, judge_check
-from tumble.lab.limits import Limits, Occasion, months_later, parse_limits
+from tumble.lab.limits import Occasion, months_later, parse_limits
 from tumble.lab.registry.records import NOT_ACCEPTED, Due, LimitsRecord, Record, State
-from tumble.result.accepted import accepted_kinds, accepted_part
+from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
 from tumble.result.launch_variances import LaunchVariances, launch_variances, variances_between
 
@@ -123,9 +123,8 @@ class Registry:
         from tumble.lab.registry.database import CALIBRATION
 
         text, name = text_and_name(calibration)
-        part = calibration_of(text, name)
-        accepted = part.outcome.accepted or len(accepted_kinds(part)) == 1
-        part = accepted_part(part, name) if accepted else part
+        part = _accepted_or_whole(calibration_of(text, name))
+        accepted = part.outcome.accepted
         if accepted and not part.parameters:
             raise InputError(f"{name}: parameters: expected at least one, found none")
         performed = _performed(part, performed, name)
@@ -151,9 +150,6 @@ class Registry:
             if occasion is None:
                 occasion = "periodic" if any(record.performed <= performed for record in earlier) else "incoming"
             limits = rows.limits_in_force(model)
-            verdict = None if accepted else NOT_ACCEPTED
-            if accepted and limits is not None:
-                verdict = _verdict_word(part, limits.parsed(), occasion)
             number = rows.add(
                 CALIBRATION,
                 sha256=digest,
@@ -165,7 +161,7 @@ class Registry:
                 occasion=occasion,
                 state=state,
                 limits=None if limits is None else limits.number,
-                verdict=verdict,
+                verdict=_verdict_word(part, limits, occasion),
                 file=text,
             )
             rows.add_logs(number, logs if accepted else ())  # a better calibration of the log may follow
@@ -208,8 +204,10 @@ class Registry:
 
     def similar(self, record: Record) -> list[str]:
         """Return other serial numbers that differ from that of a record only by case, blanks, O for 0, or I for 1."""
-        alike, serials = _folded(record.serial), {other.serial for other in self.records()} - {record.serial}
-        return sorted(serial for serial in serials if _folded(serial) == alike)
+        alike = defaultdict[str, set[str]](set)
+        for serial in {record.serial, *(other.serial for other in self.records())}:
+            alike["".join(serial.upper().split()).translate(str.maketrans("OI", "01"))].add(serial)
+        return sorted(next(each for each in alike.values() if record.serial in each) - {record.serial})
 
     def file(self, record: Record) -> str:
         """Return the text of the calibration file of a record, as it was added."""
@@ -217,10 +215,11 @@ class Registry:
             return rows.file(record.number)
 
     def calibration(self, record: Record, frame: str | None = None) -> Calibration:
-        """Return the accepted part of the calibration of a record, in its own frame or another.
+        """Return the accepted part of the calibration of a record, or all of it if nothing is, in its own frame or
+        another.
 
         Raises InputError if it cannot be converted to the frame."""
-        calibration = accepted_part(calibration_of(self.file(record), f"record {record.number}"))
+        calibration = _accepted_or_whole(calibration_of(self.file(record), f"record {record.number}"))
         try:
             return calibration if frame is None else calibration.in_frame(frame)
         except InputError as error:
@@ -323,13 +322,17 @@ class Registry:
         return list({unit.serial: unit for unit in units if unit is not None}.values())
 
     def _in_frame(self, record: Record, frame: str) -> Iterator[Calibration]:
-        """Yield the calibration of a record in a frame, if it can be converted."""
-        with suppress(InputError):
-            yield self.calibration(record, frame)
+        """Yield the calibration of a record in a frame, if it is accepted and can be converted."""
+        if record.accepted:
+            with suppress(InputError):
+                yield self.calibration(record, frame)
 
 
-def _folded(serial: str) -> str:
-    return "".join(serial.upper().split()).translate(str.maketrans("OI", "01"))
+def _accepted_or_whole(calibration: Calibration) -> Calibration:
+    try:
+        return accepted_part(calibration)
+    except CalibrationError:
+        return calibration
 
 
 def _performed(calibration: Calibration, stated: datetime | None, name: str) -> datetime:
@@ -356,10 +359,12 @@ def logs_of(calibration: Calibration) -> list[tuple[str | None, str]]:
     return [(launch.session, launch.log_sha256) for launch in calibration.evidence.launches] or [single]
 
 
-def _verdict_word(calibration: Calibration, limits: Limits, occasion: Occasion) -> str | None:
+def _verdict_word(calibration: Calibration, limits: LimitsRecord | None, occasion: Occasion) -> str | None:
     """Return the verdict of a check as a word; None if it has no limits."""
+    if not calibration.outcome.accepted:
+        return NOT_ACCEPTED
     try:
-        verdict = judge_check(calibration, limits, occasion)
+        verdict = None if limits is None else judge_check(calibration, limits.parsed(), occasion)
     except InputError:
         return "other frame"
     return None if verdict is None else verdict.result

@@ -38,6 +38,7 @@ from typing import ClassVar
 import numpy as np
 import scipy
 
+from tumble.lab.conformity import Result, judge_check
 from tumble.lab.limits import Limits
 from tumble.lab.registry.records import Record, State
 from tumble.methods.least_squares import fit_scatter
@@ -118,7 +119,8 @@ class ParameterTrend:
 class Trend:
     """Trend of all parameters of a device in one `frame`.
 
-    `limits` are the lowest and the highest value of each parameter, SI, in the periodic check that is in force now.
+    `limits` are the lowest and the highest value of each parameter, SI, in the periodic check that is in force now,
+    `results` those of the latest calibration by them.
     `comparison` compares two consecutive calibrations, the last ones without an adjustment between them, whose records
     have the numbers `compared`; None without two."""
 
@@ -128,6 +130,7 @@ class Trend:
     frame: str
     parameters: tuple[ParameterTrend, ...]
     limits: Mapping[str, tuple[float, float]]
+    results: Mapping[str, Result]
     comparison: Comparison | None
     compared: tuple[int, int] | None
 
@@ -180,11 +183,13 @@ def trend_of(past: Sequence[tuple[Record, Calibration]], limits: Limits | None) 
         if set(first) & set(second):
             comparison, compared = compare_calibrations(first, second), (earlier.number, later.number)
     intervals = {} if limits is None else {name: limits.of(name, "periodic") for name in points}
+    verdict = None if limits is None else judge_check(past[-1][1], limits, "periodic")
     return Trend(
         latest=past[-1][0],
         frame=past[-1][1].frame,
         parameters=tuple(parameter_trend(name, units[name], series) for name, series in points.items()),
         limits={name: interval for name, interval in intervals.items() if interval is not None},
+        results={} if verdict is None else {j.name: j.result for j in verdict.judgements},
         comparison=comparison,
         compared=compared,
     )

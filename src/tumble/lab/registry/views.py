@@ -7,7 +7,7 @@ from datetime import date
 from math import nan
 from typing import TYPE_CHECKING
 
-from tumble.lab.conformity import DECISION_RULE, RISK_DEFINITION, Verdict, judge_value, risk_text
+from tumble.lab.conformity import DECISION_RULE, RISK_DEFINITION, Verdict, risk_text
 from tumble.lab.registry.records import Due, LimitsRecord, Record
 from tumble.lab.registry.registry import logs_of
 from tumble.result.calibration import Calibration
@@ -148,9 +148,8 @@ def trend_blocks(trend: Trend, *, every: bool) -> list[Block]:
         latest, drift = parameter.points[-1], parameter.drift
         value, U = with_expanded(latest, size)
         row = {"history": _sparkline([p.value for p in parameter.points]), "latest": value, "U": U}
-        limits = trend.limits.get(parameter.name)
         if trend.limits:
-            low, high = limits or (nan, nan)
+            low, high = trend.limits.get(parameter.name, (nan, nan))
             row |= {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
         if has_launches:
             row["run to run"] = run_to_run(parameter.run_to_run, size)
@@ -163,7 +162,7 @@ def trend_blocks(trend: Trend, *, every: bool) -> list[Block]:
             row["change"] = cells(change.value, change.expanded, size)[0]
             row["E_n"] = "" if change.e_n is None else f"{change.e_n:+z.2f}"
         if trend.limits:
-            row["verdict"] = judge_value(latest.value, latest.u, *limits, dof=latest.dof) if limits else ""
+            row["verdict"] = trend.results.get(parameter.name, "")
         return row
 
     days = {p.number: _day(p.performed) for parameter in trend.parameters for p in parameter.points}

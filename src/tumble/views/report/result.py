@@ -80,8 +80,7 @@ def verdict_blocks(calibration: Calibration, sentence_for: Callable[[str], str] 
     elif not outcome.accepted:
         tone, verdict = "bad", "Not accepted: these values must not be used."
     elif outcome.remarks:
-        tone = "doubt"
-        verdict = "Accepted with scatter, with what is remarked here:"
+        tone, verdict = "doubt", "Accepted with scatter, with what is remarked here:"
     else:
         verdict = "Accepted: every parameter given here is observable, and the residuals agree with the model."
         if unchecked := " and ".join(name for name, fit in calibration.evidence.fits.items() if fit.degrees < 0.5):
@@ -90,7 +89,7 @@ def verdict_blocks(calibration: Calibration, sentence_for: Callable[[str], str] 
     *by_kind, _ = verdicts(calibration)
     if by_kind:
         blocks.append(f"{'; '.join(by_kind).capitalize()}.")
-    reasons = tuple(map(sentence_for, outcome.reasons))
+    reasons = tuple(filter(None, map(sentence_for, outcome.reasons)))
     remarks = tuple(f"{each[0].upper()}{each[1:]}" for each in map(sentence_for, outcome.remarks) if each)
     blocks += [Items(items=reasons, tone="bad")] if reasons else []
     blocks += [Items(items=remarks, tone="doubt")] if remarks else []
