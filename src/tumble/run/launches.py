@@ -61,7 +61,7 @@ from tumble.units import Array, two_digits
 
 _Any = TypeVar("_Any")
 DIFFERING_CHANCE = 1e-4  # probability of differences between launches of one device, below which they are remarked
-UNSTEADY_CHANCE = 1e-6  # the same, below which the mean is not that of one state of a device
+UNSTEADY_CHANCE = 1e-6  # of such differences by chance, below which the mean is not that of one state of a device
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
