@@ -11,9 +11,10 @@ where A and B are the columns of the linear parameters and of the groups. For gi
     z | e ~ N(K e, c² (A⁺ A⁺ᵀ + K Kᵀ) + R λ² Σ Rᵀ),   K = T λ² Σ Lᵀ (L λ² Σ Lᵀ + c²)⁺,   R = T − K L,   T = (A⁺ B; −1)
 
 The size of the noise, the sizes of the groups and, for a table of readings, the grade of the instrument are unknown.
-The integral is over ln c, without prior, by a grid; over λ = exp(max(p, 0)), p ~ N(0, ln 3), of every group, of which
-half have the usual size, by a low-discrepancy sequence; and over the possible grades, equally likely. The weights are
-the likelihood of the residuals,
+The integral is over ln c by a grid, with Jeffreys' prior for given λ, the root of Σ (c²/d)² over the variances d of the
+residuals; a constant prior would leave a large weight at c = 0, where groups alone explain the residuals. It is over
+λ = exp(max(p, 0)), p ~ N(0, ln 3), of every group, of which half have the usual size, by a low-discrepancy sequence,
+and over the possible grades, equally likely. The weights are the likelihood of the residuals,
 
     ln w = −½ [ln |L λ² Σ Lᵀ + c² (1 − A A⁺)| + eᵀ (…)⁺ e]
 
@@ -80,6 +81,8 @@ def with_groups(
     d = np.maximum(value, 0.0)[:, None] + c[:, None] ** 2  # (points, noise, directions)
     z = np.einsum("pij,i->pj", V, q)[:, None]
     log_weight = -0.5 * (np.log(d) + z**2 / d).sum(axis=2) - degrees * np.log(c) - 0.5 * other_squares / c**2
+    if fit.scatter > 0.0:
+        log_weight += 0.5 * np.log(((c[:, None] ** 2 / d) ** 2).sum(axis=2) + degrees)  # prior of ln c
     weight = np.exp(log_weight - log_weight.max())
     point, noise = np.nonzero(weight > LEAST_WEIGHT)
     weight = weight[point, noise] / weight[point, noise].sum()
