@@ -277,5 +277,7 @@ def _successive_positions(log: ForeignLog) -> tuple[list[tuple[int, int]] | None
 def _drift(rows: Array) -> float:
     """Return by how much the means of the halves of rows (m, 3) differ beyond _NOISE_SIGMAS of their noise."""
     half = len(rows) // 2
+    if half < 2:  # too few to show a change
+        return 0.0
     change = np.linalg.norm(rows[half:].mean(axis=0) - rows[:half].mean(axis=0))
     return float(change - _NOISE_SIGMAS * np.linalg.norm(np.diff(rows, axis=0).std(axis=0)) / (len(rows) / 2) ** 0.5)
