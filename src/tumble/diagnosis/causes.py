@@ -100,7 +100,7 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
         usual = replace(components, **sizes, unlike=np.zeros(0))
         usual_biases = list(projections(linearised, usual, rest, turn))
         deviances = [diagnostic_solution(linearised, each).deviance for each in (usual, components)]
-        excess = float(deviances[0] - deviances[1])
+        excess = float(deviances[0] - deviances[1])  # of −2 ln L, without a jump
     places = Counter[tuple[str, tuple[str, ...]]]()
     for c in candidates:
         places[c.name, c.concerns] += c.places
@@ -111,10 +111,11 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
             name, first, fit = (c.name, c.concerns), by_noise.fit(own_columns, c.largest_u), estimated.fit(own_columns)
             if first is None or fit is None:
                 continue
-            beside = (by_usual.fit(own_columns) if c.abrupt else None) or fit
             projection, judged = estimated, fit
-            if c.abrupt and beside.drop > excess + scipy.special.chdtri(beside.rank, FALSE_ALARMS / places[name]):
-                projection, judged = by_usual, beside
+            # a jump with in-run biases of usual size, against larger in-run biases without one
+            steady = (by_usual.fit(own_columns) if c.abrupt else None) or fit
+            if c.abrupt and steady.drop > excess + scipy.special.chdtri(steady.rank, FALSE_ALARMS / places[name]):
+                projection, judged = by_usual, steady
             p_value = max(each.p_value(f.drop, f.rank) for each, f in ((by_noise, first), (projection, judged)))
             p_value = min(1.0, places[name] * p_value)
             if name in best and best[name][0].p_value <= p_value:
@@ -124,7 +125,7 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
                 shift[groups[group]] -= change * fit.values[0]
                 variance[groups[group]] += u**2
             damage = np.abs(shift) / np.sqrt(variance)
-            size = with_unit(float(np.abs(beside.values).max()), c.unit)
+            size = with_unit(float(np.abs(steady.values).max()), c.unit)
             cause = Cause(
                 name=c.name,
                 concerns=c.concerns,
