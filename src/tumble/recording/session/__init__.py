@@ -96,7 +96,7 @@ class Channels:
     `unit_name` is the unit in session.toml. For raw units (count, V) `unit` is that of `scale_per`; for the others
     scale is 1 and offset 0. `axes` (n, 3): nominal sensing directions in the body frame, unit vectors. `range`: full
     scale in m/s² or rad/s, the smallest of the sensors'. `scale_stated`: the scale of counts is stated; otherwise it
-    is 1."""
+    is 1. `doubt`: uncertainty about the unit, which ends where a recording determines the scale."""
 
     columns: tuple[str, ...]
     unit: Unit
@@ -106,6 +106,7 @@ class Channels:
     axes: Array
     range: float | None
     scale_stated: bool = True
+    doubt: str = ""
 
     @property
     def raw(self) -> bool:
@@ -193,6 +194,12 @@ class LogSpec:
         """Relative standard uncertainty of the time base, stated or usual."""
         usual = USUAL_CLOCK_U if self.rate is None else USUAL_RATE_U
         return usual if self.clock_u is None else self.clock_u
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Uncertainties about the log and about the units of its sensors."""
+        of_units = (channels.doubt for channels in (self.accel, self.gyro) if channels is not None)
+        return tuple(filter(None, (*of_units, self.doubt)))
 
     @property
     def increments(self) -> dict[str, bool]:

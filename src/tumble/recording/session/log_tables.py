@@ -65,6 +65,7 @@ class SensorsTable(SessionTable):
     offset: Numbers = key("a number or a list of numbers")
     axes: list[list[float]] | None = key("a list of unit vectors [x, y, z]")
     range: float | None = key("a positive number", gt=0)
+    doubt: str | None = key("a sentence")
 
     @property
     def scaled_unit(self) -> Unit:
@@ -130,6 +131,7 @@ class SensorsTable(SessionTable):
             axes=self.directions(),
             range=full_scale,
             scale_stated=self.UNITS[self.unit].kind != "raw" or self.scale is not None,
+            doubt=self.doubt or "",
         )
 
 
