@@ -333,6 +333,40 @@ def test_one_of_several_devices_is_taken_and_the_others_are_said(
         new_session(tmp_path / "x", log, Given(message="x"))
 
 
+@pytest.mark.parametrize(
+    ("accel", "gyro", "groups"),
+    [
+        ("{}_a{}", "{}_g{}", ("left", "right")),
+        ("{}.acc.{}", "{}.gyro.{}", ("imu0", "imu1")),
+        ("{}_linear_acceleration_{}", "{}_angular_velocity_{}", ("primary", "secondary")),
+        ("a{1}_{0}", "g{1}_{0}", ("front", "rear")),
+        ("a{1}{0}", "g{1}{0}", ("1", "2")),
+    ],
+)
+@pytest.mark.parametrize("message", [False, True])
+def test_one_of_several_groups_by_the_names_of_columns_is_taken(
+    accel: str, gyro: str, groups: tuple[str, str], message: bool, device: tuple[Array, dict[str, float]], tmp_path: Path
+) -> None:
+    """The gyros of the second are before those of the first."""
+    rows, _ = device
+    first, second = ([name.format(k, axis) for name in (accel, gyro) for axis in "xyz"] for k in groups)
+    other = np.column_stack([-rows[:, 2], rows[:, 1], rows[:, 3], -rows[:, 5], rows[:, 4], rows[:, 6]])
+    names = ["t", *first[:3], *second, *first[3:], "T", f"temp_{groups[1]}"]
+    columns = np.column_stack([rows[:, :4], other, rows[:, 4:], rows[:, :1] * 0.0 + 20.0, rows[:, :1] * 0.0 + 30.0])
+    taken, unused = groups[::-1] if message else groups
+    log = table(tmp_path / "log.csv", ",".join(names), columns)
+    draft, faults = new_session(tmp_path / "s", log, Given(message=taken if message else None))
+    assert [draft.log["accel"]["columns"], draft.log["gyro"]["columns"]] == (
+        [second[:3], second[3:]] if message else [first[:3], first[3:]]
+    )
+    assert draft.log["temperature"]["columns"] == ["T"]
+    assert not faults
+    said = f"of which {taken} is taken; also there, and not used: {unused} (--message takes another)"
+    assert any(remark.endswith(said) for remark in draft.remarks)
+    with pytest.raises(InputError, match=f"expected a message 'x', found {groups[0]}, {groups[1]}"):
+        new_session(tmp_path / "x", log, Given(message="x"))
+
+
 @pytest.mark.parametrize(("name", "rows_each"), [("k", 1), ("k", 300), ("id", 300), ("id", 100_000)])
 def test_labels_and_states_of_one_log_separate_no_devices(
     device: tuple[Array, dict[str, float]], name: str, rows_each: int, tmp_path: Path

@@ -18,7 +18,7 @@ from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is
 from tumble.drafting.dialects import copy_as_tables
 from tumble.drafting.foreign_log import HEAD_ROWS, LONGEST, SAMPLE_ROWS, ForeignLog, StatedColumns
 from tumble.drafting.repairs import nanoseconds_column, with_signs
-from tumble.drafting.sensors_apart import are_sensors_apart, join_sensors, of_one_device
+from tumble.drafting.sensors_apart import are_sensors_apart, join_sensors, of_one_device, of_one_group
 from tumble.drafting.times import grows_mostly, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
@@ -53,7 +53,9 @@ def identify_log(
     # text without rows, such as the metadata of a phone, is left out
     for file in files:
         try:
-            logs += [log.with_stated(stated, units) for log in _logs_in(file, folder)]
+            read = _logs_in(file, folder)
+            read = read if ACCEL in stated else [of_one_group(log, _numeric_columns(log), instance) for log in read]
+            logs += [log.with_stated(stated, units) for log in read]
         except NoLogError as error:
             errors.append(error)
             omitted += (f"{file.name} has no rows of readings and is left out",)

@@ -24,6 +24,7 @@ from tumble.recording.columns.names import (
     Columns,
     Sensors,
     columns_by_name,
+    groups_by_name,
     is_no_sensor,
     unit_of_name,
 )
@@ -99,6 +100,31 @@ _WINDOWS, _FILLED_SHARE = 20, 0.9
 """Windows of a recording, and the least share of them in which a device has half its usual rows or more."""
 
 
+def of_one_group(log: ForeignLog, numeric: Sequence[str], name: str | None) -> ForeignLog:
+    """Return the log with one of several groups of sensors that the names of its columns tell apart.
+
+    `numeric` are the columns of numbers; `name` is that of a group, by default that of the first accelerometers."""
+    roles = [column for column in log.names if column in (*numeric, *log.columns.times)]
+    groups = groups_by_name(roles)
+    if not groups or (name not in (None, *groups) and any(map(_INSTANCE.fullmatch, log.names))):
+        return log
+    accel = columns_by_name(roles, suffixed=True).triads[ACCEL].columns
+    first = next((group for group, columns in groups.items() if accel[0] in columns), next(iter(groups)))
+    taken, *others = _taken_first(log, list(groups), name or first)
+    excluded = {column for group in others for column in groups[group]} - {*groups[taken]}
+    columns = columns_by_name([column for column in roles if column not in excluded], suffixed=True)
+    remark = f"several groups of sensors by the names of columns, of which {taken} is taken"
+    remark = f"{remark}; also there, and not used: {', '.join(others)} (--message takes another)"
+    return replace(log, columns=columns, remarks=(*log.remarks, remark))
+
+
+def _taken_first(log: ForeignLog, names: Sequence[str], taken: str) -> list[str]:
+    """Return names of devices with the one that is taken first. Raises InputError if there is none of this name."""
+    if taken not in names:
+        raise InputError(f"{log.files[0]}: expected a message {taken!r}, found {', '.join(names)}")
+    return [taken, *(name for name in names if name != taken)]
+
+
 def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> ForeignLog:
     """Return the log with the rows of one device if a column of few whole numbers separates several.
 
@@ -128,15 +154,11 @@ def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> 
         if not is_named and (named.time is None or are_even(times) or not all(map(are_even, by_device))):
             continue
         names = [f"{column}.{value:g}" for value in values]
-        if name not in (None, *names):
-            raise InputError(f"{log.files[0]}: expected a message {name!r}, found {', '.join(names)}")
-        first = names.index(name) if name else 0
-        others = ", ".join(other for other in names if other != names[first])
-        remark = f"several devices by column {column!r}, of which {names[first]} is taken"
+        taken, *others = _taken_first(log, names, name or names[0])
+        remark = f"several devices by column {column!r}, of which {taken} is taken"
+        remark = f"{remark}; also there, and not used: {', '.join(others)} (--message takes another)"
         return replace(
-            log,
-            instance={column: float(values[first])},
-            remarks=(*log.remarks, f"{remark}; also there, and not used: {others} (--message takes another)"),
+            log, instance={column: float(values[names.index(taken)])}, remarks=(*log.remarks, remark)
         )
     return log
 
