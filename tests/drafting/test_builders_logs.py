@@ -278,6 +278,19 @@ def rows_of_one_kind(folder: Path, rows: Array) -> Path:
     return folder / "log.csv"
 
 
+def joined_at_two_rates(folder: Path, rows: Array) -> Path:
+    """Frames joined by their times: nulls in each second row of the accelerometers, and rows of a magnetometer."""
+    names = ["t", *NAMES.split(",")]
+    accel, gyro = (
+        pl.DataFrame(rows[::2, :4], schema=names[:4]),
+        pl.DataFrame(rows[:, [0, 4, 5, 6]], schema=["t", *names[4:]]),
+    )
+    field = pl.DataFrame(rows[::10, :1] + [0.002, 20.0, 0.0, -40.0], schema=["t", "mx", "my", "mz"])
+    both = accel.join(gyro, on="t", how="full", coalesce=True).join(field, on="t", how="full", coalesce=True)
+    both.sort("t").write_parquet(folder / "log.parquet")
+    return folder / "log.parquet"
+
+
 LOGS: list[Callable[[Path, Array], Path]] = [
     plain, in_g_and_ms, of_st, counts_at_micros, counter_starts_anew, of_a_german_office,
     units_below_names, iso_dates, times_of_day, without_times, header_after_comments, with_magnetometer_and_temperature,
@@ -286,6 +299,7 @@ LOGS: list[Callable[[Path, Array], Path]] = [
     tuples_of_python, array_of_numpy, newest_first, newest_first_by_the_clock, in_minutes,
     in_hours_without_a_unit, a_time_for_each_sensor,
     devices_one_after_the_other, devices_in_turn, devices_without_a_name, rows_of_one_kind,
+    joined_at_two_rates,
 ]  # fmt: skip
 
 
@@ -345,7 +359,12 @@ def test_one_of_several_devices_is_taken_and_the_others_are_said(
 )
 @pytest.mark.parametrize("message", [False, True])
 def test_one_of_several_groups_by_the_names_of_columns_is_taken(
-    accel: str, gyro: str, groups: tuple[str, str], message: bool, device: tuple[Array, dict[str, float]], tmp_path: Path
+    accel: str,
+    gyro: str,
+    groups: tuple[str, str],
+    message: bool,
+    device: tuple[Array, dict[str, float]],
+    tmp_path: Path,
 ) -> None:
     """The gyros of the second are before those of the first."""
     rows, _ = device

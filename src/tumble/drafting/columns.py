@@ -22,7 +22,15 @@ from tumble.drafting.sensors_apart import are_sensors_apart, join_sensors, of_on
 from tumble.drafting.times import grows_mostly, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
+from tumble.recording.columns.names import (
+    ACCEL,
+    GYRO,
+    MAGNETOMETER,
+    columns_by_name,
+    is_no_sensor,
+    time_unit,
+    unit_of_name,
+)
 from tumble.recording.columns.numbers import columns_by_data, grows, guess_remarks, time_by_data
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
@@ -65,7 +73,12 @@ def identify_log(
     logs = [_without_empty_thermometers(_with_finest_time(log)) for log in logs]
     parts = _parts_with_own_times(logs[0]) or _parts_in_own_rows(logs[0]) if len(logs) == 1 else []
     if parts or are_sensors_apart(logs):
-        joined = join_sensors(parts or logs, folder)
+        joined, columns = join_sensors(parts or logs, folder), logs[0].columns
+        unused = [
+            *columns.temperatures,
+            *(columns.triads[MAGNETOMETER].columns if MAGNETOMETER in columns.triads else ()),
+        ]
+        omitted += (f"also there, and not used: {', '.join(unused)}",) if parts and unused else ()
         return replace(joined, remarks=(*joined.remarks, *omitted))
     named = [log for log in logs if ACCEL in log.columns.triads]
     without_accel = [log for log in logs if named and log not in named and not log.unnamed]
@@ -250,12 +263,16 @@ def _parts_with_own_times(log: ForeignLog) -> list[ForeignLog]:
 
 
 def _parts_in_own_rows(log: ForeignLog) -> list[ForeignLog]:
-    """Return a log for each kind of sensor if most rows have readings of one kind only."""
+    """Return a log for each kind of sensor if most rows have readings of one kind only, or each second row at most has
+    those of some kind."""
     triads = {kind: log.columns.triads[kind] for kind in (ACCEL, GYRO) if kind in log.columns.triads}
     if len(triads) < 2 or log.columns.time is None:
         return []
     read = np.array([np.isfinite(log.read(s.columns, rows=HEAD_ROWS)).all(axis=1) for s in triads.values()])
-    if 2 * np.count_nonzero(read.all(axis=0)) >= np.count_nonzero(read.any(axis=0)) or not read.any(axis=1).all():
+    if not read.any(axis=1).all():
+        return []
+    of_one_kind = 2 * np.count_nonzero(read.all(axis=0)) < np.count_nonzero(read.any(axis=0))
+    if not of_one_kind and all(np.median(np.diff(np.flatnonzero(rows))) < 2.0 for rows in read):
         return []
     return [log.with_columns(triads={kind: sensors}) for kind, sensors in triads.items()]
 

@@ -157,9 +157,7 @@ def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> 
         taken, *others = _taken_first(log, names, name or names[0])
         remark = f"several devices by column {column!r}, of which {taken} is taken"
         remark = f"{remark}; also there, and not used: {', '.join(others)} (--message takes another)"
-        return replace(
-            log, instance={column: float(values[names.index(taken)])}, remarks=(*log.remarks, remark)
-        )
+        return replace(log, instance={column: float(values[names.index(taken)])}, remarks=(*log.remarks, remark))
     return log
 
 

@@ -267,8 +267,8 @@ def _stems(names: Iterable[str], *, suffixed: bool) -> dict[tuple[str, str], dic
 def groups_by_name(names: Sequence[str]) -> dict[str, list[str]]:
     """Return the columns of several groups of sensors by the words in which the names of one kind differ.
 
-    A number behind the word for a kind is a word: the groups of ax1 and ax2 are 1 and 2. If gyros are in several groups,
-    those of the accelerometers have the same words.
+    A number behind the word for a kind is a word: the groups of ax1 and ax2 are 1 and 2. If gyros are in several
+    groups, those of the accelerometers have the same words.
 
     >>> groups_by_name(["left_ax", "left_ay", "left_az", "right_ax", "right_ay", "right_az", "T_right"])["right"]
     ['right_ax', 'right_ay', 'right_az', 'T_right']
