@@ -5,7 +5,7 @@ uncertainty."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -384,6 +384,52 @@ def test_one_of_several_groups_by_the_names_of_columns_is_taken(
     assert any(remark.endswith(said) for remark in draft.remarks)
     with pytest.raises(InputError, match=f"expected a message 'x', found {groups[0]}, {groups[1]}"):
         new_session(tmp_path / "x", log, Given(message="x"))
+
+
+@pytest.mark.parametrize(("limit", "columns"), [(-32768, range(6)), (32767, [4]), (-(2**31), range(3, 6))])
+def test_integers_that_stand_for_no_reading_are_lost_samples(
+    limit: int, columns: Sequence[int], device: tuple[Array, dict[str, float]], tmp_path: Path
+) -> None:
+    readings = counts(device[0])
+    lost = np.arange(100, len(readings), 97)
+    for row in range(3):  # several in a row
+        readings[np.ix_(lost + row, columns)] = limit
+    draft, faults = new_session(
+        tmp_path / "s", table(tmp_path / "l.csv", f"t,{NAMES}", device[0][:, 0], readings, digits=12)
+    )
+    assert (draft.log["accel"]["scale"], draft.log["gyro"]["scale"]) == (8192.0, 65.5)
+    assert not faults
+    assert any(f"{limit} in {3 * len(lost)} rows" in r and "stand for no reading" in r for r in draft.remarks)
+    written = pl.read_parquet(draft.files[0]).select(NAMES.split(",")).to_numpy()
+    np.testing.assert_array_equal(np.isnan(written), readings == limit)
+
+
+@pytest.mark.parametrize("gain", [8.0, 40.0])
+def test_turns_beyond_the_range_are_clipped_and_not_lost(
+    gain: float, device: tuple[Array, dict[str, float]], tmp_path: Path
+) -> None:
+    readings = counts(device[0])
+    readings[:, 3:] = np.clip(gain * 131.0 / 65.5 * readings[:, 3:], -32768.0, 32767.0).round()
+    _, faults = new_session(
+        tmp_path / "s", table(tmp_path / "l.csv", f"t,{NAMES}", device[0][:, 0], readings, digits=12)
+    )
+    assert sum("is clipped" in fault for fault in faults) == 3
+
+
+@pytest.mark.parametrize("twice", [lambda rows: np.repeat(rows, 2, axis=0), lambda rows: np.concatenate([rows, rows])])
+@pytest.mark.parametrize("rate", [None, 50.0])
+def test_rows_that_are_twice_in_a_log_are_read_once(
+    twice: Callable[[Array], Array], rate: float | None, device: tuple[Array, dict[str, float]], tmp_path: Path
+) -> None:
+    rows = device[0]
+    draft, faults = new_session(
+        tmp_path / "s", table(tmp_path / "l.csv", f"t,{NAMES}", twice(rows)), Given(sample_rate=rate)
+    )
+    assert not faults
+    assert draft.rate == pytest.approx(50.0)
+    assert draft.times.stamped
+    said = f"rows: {len(rows)} of {2 * len(rows)} are in the log twice, with the same time and readings: left out"
+    assert said in draft.remarks
 
 
 @pytest.mark.parametrize(("name", "rows_each"), [("k", 1), ("k", 300), ("id", 300), ("id", 100_000)])

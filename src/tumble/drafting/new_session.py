@@ -199,8 +199,7 @@ def drafted_log(
     else:
         log, imu = log_of_recording(recordings, folder, given.message)
     rate = given.sample_rate
-    is_shown = rate is not None and log.times(rate).stamped
-    draft = _draft_of_raw_numbers(repair_log(log, folder, None if is_shown else rate), rate)
+    draft = _draft_of_raw_numbers(repair_log(log, folder, rate), rate)
     place = {"latitude_deg": given.latitude, "height_m": given.height}
     site = {key: value for key, value in place.items() if value is not None}
     serial = given.serial or folder.path.resolve().name or "unknown"
