@@ -15,7 +15,7 @@ from tumble.commands import console, params
 from tumble.errors import GyrosAloneError, InputError, tables_at
 
 if TYPE_CHECKING:
-    from tumble.drafting.draft import Draft
+    from tumble.drafting.foreign_log import Draft
     from tumble.drafting.new_session import Given
     from tumble.run.gyros_alone import GyroRests
 

@@ -71,7 +71,7 @@ def identify_log(
         raise errors[0]
     logs = [of_one_device(log, _numeric_columns(log), instance) for log in logs]
     logs = [_without_empty_thermometers(_with_finest_time(log)) for log in logs]
-    parts = _parts_with_own_times(logs[0]) or _parts_in_own_rows(logs[0]) if len(logs) == 1 else []
+    parts = _parts_with_own_times(logs[0]) if len(logs) == 1 else []
     if parts or are_sensors_apart(logs):
         joined, columns = join_sensors(parts or logs, folder), logs[0].columns
         unused = [
@@ -247,34 +247,25 @@ def _without_empty_thermometers(log: ForeignLog) -> ForeignLog:
 
 
 def _parts_with_own_times(log: ForeignLog) -> list[ForeignLog]:
-    """Return a log for each kind of sensor if each kind has a time of its own before its columns."""
-    names, numeric, parts = list(log.names), _numeric_columns(log), list[ForeignLog]()
-    for kind, sensors in log.columns.triads.items():
-        if kind not in (ACCEL, GYRO):
-            continue
+    """Return a log for each kind of sensor if each kind has its own times: in a column before those of the sensors, or
+    in rows of its own, so that at most each second row has readings of all."""
+    names, numeric = list(log.names), _numeric_columns(log)
+    parts = [log.with_columns(triads={k: log.columns.triads[k]}) for k in (ACCEL, GYRO) if k in log.columns.triads]
+    timed, triads = list[ForeignLog](), [next(iter(part.columns.triads.values())) for part in parts]
+    for part, sensors in zip(parts, triads, strict=True):
         first = min(map(names.index, sensors.columns))
         before = names[first - 1] if first else ""
         stamps = log.read([before])[:, 0] if before in numeric else np.empty(0)
-        if not grows(stamps) or not grows_mostly(stamps):
-            return []
-        unit = log.columns.time_unit if before.isdecimal() else time_unit(before)
-        parts.append(log.with_columns(time=before, time_unit=unit, triads={kind: sensors}))
-    return parts if len({part.columns.time for part in parts}) > 1 else []
-
-
-def _parts_in_own_rows(log: ForeignLog) -> list[ForeignLog]:
-    """Return a log for each kind of sensor if most rows have readings of one kind only, or each second row at most has
-    those of some kind."""
-    triads = {kind: log.columns.triads[kind] for kind in (ACCEL, GYRO) if kind in log.columns.triads}
-    if len(triads) < 2 or log.columns.time is None:
+        if grows(stamps) and grows_mostly(stamps):
+            unit = log.columns.time_unit if before.isdecimal() else time_unit(before)
+            timed.append(part.with_columns(time=before, time_unit=unit))
+    if len(timed) == len(parts) and len({part.columns.time for part in timed}) > 1:
+        return timed
+    if len(parts) < 2 or log.columns.time is None:
         return []
-    read = np.array([np.isfinite(log.read(s.columns, rows=HEAD_ROWS)).all(axis=1) for s in triads.values()])
-    if not read.any(axis=1).all():
-        return []
-    of_one_kind = 2 * np.count_nonzero(read.all(axis=0)) < np.count_nonzero(read.any(axis=0))
-    if not of_one_kind and all(np.median(np.diff(np.flatnonzero(rows))) < 2.0 for rows in read):
-        return []
-    return [log.with_columns(triads={kind: sensors}) for kind, sensors in triads.items()]
+    read = np.array([np.isfinite(log.read(sensors.columns, rows=HEAD_ROWS)).all(axis=1) for sensors in triads])
+    of_both, of_any = np.count_nonzero(read.all(axis=0)), np.count_nonzero(read.any(axis=0))
+    return parts if 2 * of_both <= of_any + 1 and read.any(axis=1).all() else []
 
 
 def _with_time(log: ForeignLog) -> ForeignLog:

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_text
-from tumble.drafting.draft import Draft
-from tumble.drafting.foreign_log import linear_acceleration
+from tumble.drafting.foreign_log import Draft, linear_acceleration
 from tumble.drafting.hypotheses import Evidence, Hypothesis, gather_evidence, ranked_hypotheses
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO, WITHOUT_GRAVITY

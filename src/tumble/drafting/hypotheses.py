@@ -36,7 +36,7 @@ from tumble.diagnosis.turn_likelihood import (
     least_cost,
     turn_likelihoods,
 )
-from tumble.drafting.draft import Draft
+from tumble.drafting.foreign_log import Draft
 from tumble.drafting.times import ASSUMED_RATE, RATE_LIMITS, UNUSUAL_SHARE, USUAL_RATES, Times, at_rate
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO

@@ -4,7 +4,7 @@ and gyros of a phone in one file each."""
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -31,7 +31,7 @@ from tumble.recording.columns.names import (
 from tumble.recording.columns.numbers import time_by_data
 from tumble.recording.formats import TIME, Message, messages, write_log
 from tumble.recording.session import AutopilotSensor
-from tumble.units import TIME_UNITS, Array
+from tumble.units import TIME_UNITS
 
 _UNCALIBRATED = re.compile(r"uncal", re.IGNORECASE)
 CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
@@ -149,7 +149,9 @@ def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> 
         by_device = [times[table[:, 0] == value] for value in values]
         if not 2 <= len(values) <= _MOST_DEVICES or (values % 1.0).any():
             continue
-        if not all(_lasts(each, times) for each in by_device):
+        counts = [np.histogram(each, _WINDOWS, (times.min(), times.max()))[0] for each in by_device]
+        lasting = [bool(np.mean(2 * count >= count.mean()) >= _FILLED_SHARE) for count in counts]
+        if not (all(lasting) and all(map(grows_mostly, by_device))):
             continue
         if not is_named and (named.time is None or are_even(times) or not all(map(are_even, by_device))):
             continue
@@ -159,12 +161,6 @@ def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> 
         remark = f"{remark}; also there, and not used: {', '.join(others)} (--message takes another)"
         return replace(log, instance={column: float(values[names.index(taken)])}, remarks=(*log.remarks, remark))
     return log
-
-
-def _lasts(times: Array, all_times: Array) -> bool:
-    """Return whether stamps of one device grow, and are as many in all parts of a recording."""
-    counts, _ = np.histogram(times, _WINDOWS, (all_times.min(), all_times.max()))
-    return grows_mostly(times) and bool(np.mean(2 * counts >= counts.mean()) >= _FILLED_SHARE)
 
 
 # -------------------- files of one kind of sensor each --------------------
@@ -180,12 +176,11 @@ def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:
     if any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):
         return False
 
-    def has_room(log: ForeignLog) -> bool:
-        """Return whether there are columns for both kinds, and none named x, y and z alone."""
+    for log in logs:  # columns for both kinds, and none named x, y and z alone
         axes_alone = set("xyz") <= {(name.split() or [""])[0].lower() for name in log.cells}
-        return not axes_alone and sum(not is_no_sensor(name) for name in log.cells) >= 6
-
-    if all(map(has_room, logs)):
+        if axes_alone or sum(not is_no_sensor(name) for name in log.cells) < 6:
+            break
+    else:
         return False
     by_kind = _first_by_kind(logs)
     if set(by_kind) == {ACCEL, GYRO}:
@@ -222,7 +217,10 @@ def join_sensors(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog
     gravity = next((log for log in logs if _GRAVITY.search(log.files[0].stem)), None)
     summed = ""
     if ACCEL in by_kind and gravity is not None and not _reads_gravity(by_kind[ACCEL]):
-        parts[ACCEL] = _sum(parts[ACCEL], _message(gravity, ACCEL))
+        (total,), (more,) = parts[ACCEL].rows(), _message(gravity, ACCEL).rows()  # which a phone writes separately
+        added = [pl.Series(c, total[c] + np.interp(total[TIME], more[TIME], more[c])) for c in parts[ACCEL].columns]
+        summed_rows = total.with_columns(added)
+        parts[ACCEL] = replace(parts[ACCEL], rows=lambda: iter([summed_rows]))
         summed = f", {gravity.files[0].name} added to the accelerometers, which are without gravity"
     if ACCEL in by_kind and all(map(CORE_MOTION.fullmatch, _time_and_axes(by_kind[ACCEL], ACCEL)[1])):
         summed = ", accelerometers of opposite sign, as Apple's CoreMotion has them"
@@ -236,19 +234,6 @@ def join_sensors(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog
     remark = f"{used}: one log at the times of the gyros{summed}, written to {joined}"
     fastest = parts.get(GYRO, first)
     return ForeignLog(files=(joined,), keys={}, columns=columns, remarks=(remark, *others, fastest.remark))
-
-
-def _sum(accel: Message, gravity: Message) -> Message:
-    """Return the sum of acceleration without gravity and gravity, which a phone writes separately."""
-
-    def rows() -> Iterator[pl.DataFrame]:
-        (more,) = gravity.rows()
-        for table in accel.rows():
-            columns = accel.columns
-            added = (pl.Series(c, table[c] + np.interp(table[TIME], more[TIME], more[c])) for c in columns)
-            yield table.with_columns(added)
-
-    return replace(accel, rows=rows)
 
 
 def _time_and_axes(log: ForeignLog, kind: str) -> tuple[ForeignLog, list[str]]:
