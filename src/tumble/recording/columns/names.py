@@ -239,7 +239,10 @@ def columns_by_name(names: Iterable[str], *, suffixed: bool = False) -> Columns:
     times = [name for name in names if name not in ("", "T", *sensors) and _score(TIME_KIND, name)]
     time = max(times, key=lambda name: _score(TIME_KIND, name), default=None)
     thermometers = {name: kind for name, kind in thermometers.items() if name != time}
-    temperatures = _one_per_kind(thermometers, gyros=GYRO in triads)
+    first = {kind: name for name, kind in reversed(list(thermometers.items()))}
+    pairs = ((ACCEL, GYRO), (GYRO, ACCEL))[: 1 + (GYRO in triads)]  # one thermometer for all sensors, or one per kind
+    shared = (first.get(kind, first.get(other, first.get(""))) for kind, other in pairs)
+    temperatures = tuple(dict.fromkeys(name for name in shared if name is not None))
     return Columns(
         time=time,
         time_unit=None if time is None else time_unit(time),
@@ -435,12 +438,3 @@ def thermometer(words: Sequence[str]) -> str | None:
     if not _THERMOMETER.fullmatch(name):
         return None
     return next((kind for kind, word in _KIND_WORDS.items() if re.search(f"(^|_)({word})(_|$)", name)), "")
-
-
-def _one_per_kind(thermometers: Mapping[str, str], *, gyros: bool) -> tuple[str, ...]:
-    """Return thermometers, given with their kinds, as in [log.temperature]: one for all sensors, or one per kind.
-
-    A kind of sensor without a thermometer shares that of the other kind, else one without a kind."""
-    first = {kind: name for name, kind in reversed(list(thermometers.items()))}
-    taken = [first.get(kind, first.get(other, first.get(""))) for kind, other in ((ACCEL, GYRO), (GYRO, ACCEL))]
-    return tuple(dict.fromkeys(name for name in taken[: 1 + gyros] if name is not None))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Self
 
@@ -12,8 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from tumble.documents import as_written
-from tumble.recording.session import Channels, LogSpec, TemperatureChannels
-from tumble.recording.session.table import SessionTable, check_known, key, one_of
+from tumble.recording.session import Channels, LogSpec, SessionTable, TemperatureChannels, check_known, key, one_of
 from tumble.recording.text.dialect import DELIMITERS, DIALECT_KEYS, Dialect
 from tumble.sensors.model import thermometers_of
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TEMPERATURE_UNITS, TIME_UNITS, Array, Unit
@@ -42,13 +41,6 @@ def check_different(files: str | list[str]) -> str | list[str]:
         if count > 1:
             raise ValueError(f'expected different files, found "{file}" twice')
     return files
-
-
-def check_one_per_column(columns: int, **values: float | list[float] | None) -> None:
-    """Raise ValueError for a list of another length than the number of columns."""
-    for name, value in values.items():
-        if isinstance(value, Sequence) and len(value) != columns:
-            raise ValueError(f"{name}: expected a number or {columns} numbers, one per column, found {len(value)}")
 
 
 class SensorsTable(SessionTable):
@@ -93,7 +85,12 @@ class SensorsTable(SessionTable):
             raise ValueError(f'scale: expected the nominal output per unit for unit "{self.unit}", found none')
         else:
             check_known(self.scale_per or self.SCALE_PER[0], self.SCALE_PER, "scale_per")
-            check_one_per_column(len(self.columns), scale=self.scale, offset=self.offset)
+            columns = len(self.columns)
+            for name, value in (("scale", self.scale), ("offset", self.offset)):
+                if isinstance(value, list) and len(value) != columns:
+                    raise ValueError(
+                        f"{name}: expected a number or {columns} numbers, one per column, found {len(value)}"
+                    )
             if self.scale is not None and not np.all(self.scale):
                 raise ValueError(f"scale: expected numbers other than zero, found {as_written(self.scale)}")
         self._check_axes()

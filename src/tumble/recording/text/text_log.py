@@ -194,7 +194,10 @@ class TextLog(LogSource):
             for piece in whole_lines(stream, self.path):
                 piece = piece.removeprefix(codecs.BOM_UTF8) if self.top == 0 else piece
                 piece = piece.replace(b"\0", b"") if b"\0" in piece else piece  # left by the reset of a logger
-                yield _with_tabs(piece) if self.dialect.delimiter == BLANKS else piece
+                if self.dialect.delimiter == BLANKS:
+                    piece = piece.replace(b"\t", b" ").replace(b"\r\n", b"\n")
+                    piece = re.sub(rb" *\n *", b"\n", re.sub(rb"(?<=[^ \n]) +(?=[^ \n])", b"\t", piece)).strip(b" ")
+                yield piece
 
     @property
     def separator(self) -> str:
@@ -212,12 +215,6 @@ class TextLog(LogSource):
 
     def place(self, row: int, column: str | None = None) -> str:
         return f"{self.path}: row {row} (line {row + self.top})" + in_column(column)
-
-
-def _with_tabs(piece: bytes) -> bytes:
-    """Return rows with single tabs in place of blanks between the values."""
-    blank = piece.replace(b"\t", b" ").replace(b"\r\n", b"\n")
-    return re.sub(rb" *\n *", b"\n", re.sub(rb"(?<=[^ \n]) +(?=[^ \n])", b"\t", blank)).strip(b" ")
 
 
 def text_log(path: Path, dialect: Dialect | None) -> TextLog:
