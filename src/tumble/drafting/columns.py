@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is_text
+from tumble.drafting.containers import NAMED, NoLogError, check_format
 from tumble.drafting.dialects import copy_as_tables
 from tumble.drafting.foreign_log import HEAD_ROWS, LONGEST, SAMPLE_ROWS, ForeignLog, StatedColumns
 from tumble.drafting.repairs import nanoseconds_column, with_signs
@@ -117,7 +117,8 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
         start = stream.read(SEEN_BYTES)
     if not start:
         raise NoLogError(f"{file}: expected a log, found an empty file")
-    check_is_text(file, start)
+    if start.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"{", b"[") and start.count(b"\n") < 3:
+        raise InputError(f"{file}: expected rows of readings, found a document of JSON; write the readings as CSV")
     if (copied := copy_as_tables(file, start, folder)) is not None:
         parts, remarks = copied
         return [replace(log, remarks=(*remarks, *log.remarks)) for part in parts for log in _logs_in(part, folder)]

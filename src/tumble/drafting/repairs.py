@@ -60,7 +60,7 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
     if copies := _copied_rows(log, time):
         return repair_log(_copy(log, folder, time, copies), folder, rate)
     rate = None if rate is not None and log.times(rate).stamped else rate
-    repairs = _leave_out_other_rows(log) + _restore_signs(log) + _mark_lost(log)
+    repairs = _leave_out_other_rows(log) + _mend_readings(log)
     time, in_seconds, time_repairs = _repair_time(log, rate)
     parts, why = None, ""
     untouched = len(log.files) == 1 and not (repairs or time_repairs) and rate is None
@@ -241,15 +241,6 @@ def with_signs(columns: Array) -> Array:
     return np.where(columns >= _SIGN, columns - _WRAP, columns) if _are_unsigned(columns) else columns
 
 
-def _restore_signs(log: ForeignLog) -> list[Repair]:
-    """Subtract 65536 from negative 16-bit numbers that were read as unsigned."""
-    triads = [triad.columns for triad in log.columns.triads.values() if _are_unsigned(log.read(triad.columns))]
-    names = [name for columns in triads for name in columns]
-    remark = f"{', '.join(names)}: 16-bit numbers read without their sign: 65536 taken off where it is due"
-    restore = pl.col(names) - _WRAP * (pl.col(names) >= _SIGN)
-    return [(remark, lambda rows: rows.with_columns(restore))] if names else []
-
-
 # -------------------- integers that stand for no reading --------------------
 
 _LIMITS = (-(2.0**15), 2.0**15 - 1.0, -(2.0**31), 2.0**31 - 1.0)
@@ -275,24 +266,31 @@ def stand_for_none(columns: Array) -> BoolArray:
     return at_limit
 
 
-def _mark_lost(log: ForeignLog) -> list[Repair]:
-    """Mark integers that stand for no reading as lost."""
-    triads, marked = log.columns.triads.values(), dict[str, str]()
-    for triad in triads:
-        numbers = with_signs(log.read(triad.columns))
+def _mend_readings(log: ForeignLog) -> list[Repair]:
+    """Restore the signs of 16-bit numbers that were read as unsigned, and mark integers that stand for no reading."""
+    triads, unsigned, marked = [triad.columns for triad in log.columns.triads.values()], list[str](), list[str]()
+    for columns in triads:
+        numbers = log.read(columns)
+        unsigned += columns if _are_unsigned(numbers) else ()
+        numbers = with_signs(numbers)
         lost = stand_for_none(numbers)
         limits = " and ".join(f"{limit:.0f}" for limit in np.unique(numbers[lost]))
-        marked |= {", ".join(triad.columns): f"{limits} in {lost.any(axis=1).sum()} rows"} if limits else {}
+        marked += [f"{', '.join(columns)}: {limits} in {lost.any(axis=1).sum()} rows"] if limits else []
 
-    def mark(rows: pl.DataFrame) -> pl.DataFrame:
-        for triad in triads:
-            numbers = rows.select(triad.columns).to_numpy().copy()
-            numbers[stand_for_none(numbers)] = np.nan
-            rows = rows.with_columns(pl.DataFrame(numbers, schema=list(triad.columns), orient="row"))
+    def mended(rows: pl.DataFrame) -> pl.DataFrame:
+        rows = rows.with_columns(pl.col(c) - _WRAP * (pl.col(c) >= _SIGN) for c in unsigned)
+        for columns in triads:
+            numbers = rows.select(columns).to_numpy()
+            numbers = np.where(stand_for_none(numbers), np.nan, numbers)
+            rows = rows.with_columns(pl.DataFrame(numbers, schema=list(columns), orient="row"))
         return rows
 
-    found = "; ".join(f"{columns}: {limits}" for columns, limits in marked.items())
-    return [(f"{found}, to which no other readings lead, stand for no reading: lost samples", mark)] if marked else []
+    remarks = [f"{', '.join(unsigned)}: 16-bit numbers read without their sign: 65536 taken off where it is due"]
+    remarks = remarks if unsigned else []
+    if marked:
+        found = f"{'; '.join(marked)}, to which no other readings lead"
+        remarks.append(f"{found}, stand for no reading: lost samples")
+    return [("; ".join(remarks), mended)] if remarks else []
 
 
 # -------------------- positions without turns between them --------------------

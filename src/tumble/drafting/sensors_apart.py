@@ -55,7 +55,11 @@ def log_of_recording(
     if not matching:
         raise InputError(f"{recording}: expected a message {message!r}, found {', '.join(m.name for m in with_accel)}")
     accel = max(matching, key=lambda m: m.gyro is not None) if message is None else matching[0]
-    gyro = accel if accel.gyro else next((m for m in candidates if m.gyro and _belong_together(accel, m)), None)
+    gyro = accel if accel.gyro else None
+    if gyro is None and accel.timed:  # gyros of the same clock, and of the same number if both messages have one
+        number, others = accel.name.rpartition(".")[2], [m for m in candidates if m.gyro and m.timed]
+        both = ((m, {number, m.name.rpartition(".")[2]}) for m in others)
+        gyro = next((m for m, numbers in both if sum(map(str.isdecimal, numbers)) < 2), None)
     taken = [accel] if gyro is None or gyro is accel else [accel, gyro]
     own_temperatures = [m.temperatures for m in taken if m.temperatures]
     one_each = len(own_temperatures) == 2 and max(map(len, own_temperatures)) == 1
@@ -81,13 +85,6 @@ def log_of_recording(
     return ForeignLog(files=(log,), keys={}, columns=columns, remarks=tuple(remarks), doubts=doubts), imu
 
 
-def _belong_together(accel: Message, gyro: Message) -> bool:
-    """Return whether gyros in another message have the same clock, and the same number if both have one."""
-    instances = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
-    same = not all(map(str.isdecimal, instances)) or instances[0] == instances[1]
-    return accel.timed and gyro.timed and same
-
-
 # -------------------- several devices in a table --------------------
 
 _INSTANCE = re.compile(
@@ -110,19 +107,19 @@ def of_one_group(log: ForeignLog, numeric: Sequence[str], name: str | None) -> F
         return log
     accel = columns_by_name(roles, suffixed=True).triads[ACCEL].columns
     first = next((group for group, columns in groups.items() if accel[0] in columns), next(iter(groups)))
-    taken, *others = _taken_first(log, list(groups), name or first)
-    excluded = {column for group in others for column in groups[group]} - {*groups[taken]}
-    columns = columns_by_name([column for column in roles if column not in excluded], suffixed=True)
-    remark = f"several groups of sensors by the names of columns, of which {taken} is taken"
-    remark = f"{remark}; also there, and not used: {', '.join(others)} (--message takes another)"
-    return replace(log, columns=columns, remarks=(*log.remarks, remark))
+    log = _with_choice(log, "several groups of sensors by the names of columns", list(groups), name or first)
+    others = {column for group, columns in groups.items() if group != (name or first) for column in columns}
+    others -= {*groups[name or first]}
+    return replace(log, columns=columns_by_name([c for c in roles if c not in others], suffixed=True))
 
 
-def _taken_first(log: ForeignLog, names: Sequence[str], taken: str) -> list[str]:
-    """Return names of devices with the one that is taken first. Raises InputError if there is none of this name."""
+def _with_choice(log: ForeignLog, several: str, names: Sequence[str], taken: str) -> ForeignLog:
+    """Return the log with a remark on the devices in it. Raises InputError if there is none of the name `taken`."""
     if taken not in names:
         raise InputError(f"{log.files[0]}: expected a message {taken!r}, found {', '.join(names)}")
-    return [taken, *(name for name in names if name != taken)]
+    others = ", ".join(name for name in names if name != taken)
+    remark = f"{several}, of which {taken} is taken; also there, and not used: {others} (--message takes another)"
+    return replace(log, remarks=(*log.remarks, remark))
 
 
 def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> ForeignLog:
@@ -156,10 +153,8 @@ def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> 
         if not is_named and (named.time is None or are_even(times) or not all(map(are_even, by_device))):
             continue
         names = [f"{column}.{value:g}" for value in values]
-        taken, *others = _taken_first(log, names, name or names[0])
-        remark = f"several devices by column {column!r}, of which {taken} is taken"
-        remark = f"{remark}; also there, and not used: {', '.join(others)} (--message takes another)"
-        return replace(log, instance={column: float(values[names.index(taken)])}, remarks=(*log.remarks, remark))
+        log = _with_choice(log, f"several devices by column {column!r}", names, name or names[0])
+        return replace(log, instance={column: float(values[names.index(name or names[0])])})
     return log
 
 

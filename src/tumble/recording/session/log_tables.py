@@ -36,13 +36,6 @@ def check_encoding(name: str) -> str:
     return name
 
 
-def check_different(files: str | list[str]) -> str | list[str]:
-    for file, count in Counter([files] if isinstance(files, str) else files).items():
-        if count > 1:
-            raise ValueError(f'expected different files, found "{file}" twice')
-    return files
-
-
 class SensorsTable(SessionTable):
     """Common keys of [log.accel] and [log.gyro]."""
 
@@ -206,9 +199,7 @@ class TemperatureTable(SessionTable):
 class LogTable(SessionTable):
     """[log]"""
 
-    file: Annotated[str | list[str], AfterValidator(check_different)] = Field(
-        min_length=1, description="a file name or a list of file names"
-    )
+    file: str | list[str] = Field(min_length=1, description="a file name or a list of file names")
     time: str | None = key("a column name", min_length=1)
     time_unit: Annotated[str, one_of([*TIME_UNITS, CLOCK])] | None = key(f"one of {', '.join([*TIME_UNITS, CLOCK])}")
     rate_hz: float | None = key("a positive number", gt=0)
@@ -232,6 +223,9 @@ class LogTable(SessionTable):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        twice = [file for file, count in Counter(self.file).items() if count > 1] if isinstance(self.file, list) else []
+        if twice:
+            raise ValueError(f'file: expected different files, found "{twice[0]}" twice')
         if (self.time is None) == (self.rate_hz is None):
             given = "neither" if self.time is None else "both"
             raise ValueError(f"time: expected either log.time, a column, or log.rate_hz, found {given}")

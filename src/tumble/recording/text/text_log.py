@@ -66,7 +66,14 @@ class TextLog(LogSource):
     top: int
 
     def first_date(self, column: str) -> str | None:
-        return date_of(self._cell(next(self.pieces(), b""), column))
+        text = self._cell(next(self.pieces(), b""), column)
+        day = day_of(text)
+        seconds = seconds_of(pl.Series([text], dtype=pl.String), day)[0] if day else None
+        if not day or seconds is None:
+            return None
+        match = re.search(_TIME, text)
+        start = datetime(1970, 1, 1, tzinfo=UTC if match and match[6] else None) + timedelta(days=day)
+        return (start + timedelta(seconds=float(seconds))).isoformat(timespec="seconds")
 
     def read(self, columns: Sequence[str], clock: str | None) -> Tables:
         if missing := [column for column in columns if column not in self.names]:  # the first rows differ in width
@@ -244,18 +251,6 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
 def day_of(text: str) -> int:
     """Return the day of a text's date, counted from 1970-01-01; 0 without a date."""
     return int(_days(_normalised(pl.Series([text], dtype=pl.String))).fill_null(0)[0])
-
-
-def date_of(text: str) -> str | None:
-    """Return the date with the time of a text, ISO 8601, in UTC if it has a time zone; None without a date."""
-    day = day_of(text)
-    seconds = seconds_of(pl.Series([text], dtype=pl.String), day)[0] if day else None
-    if not day or seconds is None:
-        return None
-    match = re.search(_TIME, text)
-    zone = UTC if match and match[6] else None
-    start = datetime(1970, 1, 1, tzinfo=zone) + timedelta(days=day)
-    return (start + timedelta(seconds=float(seconds))).isoformat(timespec="seconds")
 
 
 def seconds_of(text: pl.Series, day: int) -> pl.Series:
