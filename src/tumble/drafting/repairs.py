@@ -245,9 +245,7 @@ def with_signs(columns: Array) -> Array:
 
 _LIMITS = (-(2.0**15), 2.0**15 - 1.0, -(2.0**31), 2.0**31 - 1.0)
 """Smallest and largest integers of 16 and 32 bits."""
-_UNLED = (
-    2.0  # ratio to the largest step of other readings; of turns that are clipped, up to 80 times the range, at most 1.3
-)
+_UNLED = 2.0  # steps to a limit over the largest other step; at most 1.1 in turns of up to 80 times the range
 
 
 def stand_for_none(columns: Array) -> BoolArray:

@@ -101,16 +101,20 @@ def of_one_group(log: ForeignLog, numeric: Sequence[str], name: str | None) -> F
     """Return the log with one of several groups of sensors that the names of its columns tell apart.
 
     `numeric` are the columns of numbers; `name` is that of a group, by default that of the first accelerometers."""
-    roles = [column for column in log.names if column in (*numeric, *log.columns.times)]
+    named = log.columns
+    roles = [column for column in log.names if column in (*numeric, *named.times)]
     groups = groups_by_name(roles)
     if not groups or (name not in (None, *groups) and any(map(_INSTANCE.fullmatch, log.names))):
         return log
-    accel = columns_by_name(roles, suffixed=True).triads[ACCEL].columns
-    first = next((group for group, columns in groups.items() if accel[0] in columns), next(iter(groups)))
-    log = _with_choice(log, "several groups of sensors by the names of columns", list(groups), name or first)
-    others = {column for group, columns in groups.items() if group != (name or first) for column in columns}
-    others -= {*groups[name or first]}
-    return replace(log, columns=columns_by_name([c for c in roles if c not in others], suffixed=True))
+    accel = columns_by_name(roles, suffixed=True).triads.get(ACCEL)
+    first = [group for group, columns in groups.items() if accel is not None and accel.columns[0] in columns]
+    taken = name or (first or list(groups))[0]
+    log = _with_choice(log, "several groups of sensors by the names of columns", list(groups), taken)
+    others = {column for group, columns in groups.items() if group != taken for column in columns} - {*groups[taken]}
+    found = columns_by_name([column for column in roles if column not in others], suffixed=True)
+    if found.time is None and named.time not in others:  # times of day
+        found = replace(found, time=named.time, time_unit=named.time_unit)
+    return replace(log, columns=found)
 
 
 def _with_choice(log: ForeignLog, several: str, names: Sequence[str], taken: str) -> ForeignLog:
