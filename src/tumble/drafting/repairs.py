@@ -253,7 +253,7 @@ def stand_for_none(columns: Array) -> BoolArray:
 
     These are limits of 16 or 32 bits to which the readings step, and from which they step back, at least twice as far
     as anywhere else: a sensor that is driven to its limit approaches it, as the motion does."""
-    at_limit, finite = np.isin(columns, _LIMITS), np.isfinite(columns)
+    at_limit, finite = np.asarray(np.isin(columns, _LIMITS)), np.isfinite(columns)
     if not at_limit.any() or (columns[finite] != np.floor(columns[finite])).any():
         return np.zeros(columns.shape, dtype=bool)
     at, steps = at_limit.any(axis=1), np.linalg.norm(np.diff(columns, axis=0), axis=1)

@@ -57,8 +57,8 @@ def log_of_recording(
     accel = max(matching, key=lambda m: m.gyro is not None) if message is None else matching[0]
     gyro = accel if accel.gyro else None
     if gyro is None and accel.timed:  # gyros of the same clock, and of the same number if both messages have one
-        number, others = accel.name.rpartition(".")[2], [m for m in candidates if m.gyro and m.timed]
-        both = ((m, {number, m.name.rpartition(".")[2]}) for m in others)
+        number = accel.name.rpartition(".")[2]
+        both = ((m, {number, m.name.rpartition(".")[2]}) for m in candidates if m.gyro and m.timed)
         gyro = next((m for m, numbers in both if sum(map(str.isdecimal, numbers)) < 2), None)
     taken = [accel] if gyro is None or gyro is accel else [accel, gyro]
     own_temperatures = [m.temperatures for m in taken if m.temperatures]
