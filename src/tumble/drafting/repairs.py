@@ -253,10 +253,10 @@ def stand_for_none(columns: Array) -> BoolArray:
 
     These are limits of 16 or 32 bits to which the readings step, and from which they step back, at least twice as far
     as anywhere else: a sensor that is driven to its limit approaches it, as the motion does."""
-    at_limit, finite = np.asarray(np.isin(columns, _LIMITS)), np.isfinite(columns)
+    at_limit, finite = np.isin(columns, _LIMITS), np.isfinite(columns)
     if not at_limit.any() or (columns[finite] != np.floor(columns[finite])).any():
         return np.zeros(columns.shape, dtype=bool)
-    at, steps = at_limit.any(axis=1), np.linalg.norm(np.diff(columns, axis=0), axis=1)
+    at, steps = np.asarray(at_limit.any(axis=1)), np.linalg.norm(np.diff(columns, axis=0), axis=1)
     largest = np.max(steps[np.isfinite(steps) & ~(at[1:] | at[:-1])], initial=0.0)
     for start, stop in np.flatnonzero(np.diff(at, prepend=False, append=False)).reshape(-1, 2).tolist():
         if min((*steps[max(start - 1, 0) : start], *steps[stop - 1 : stop]), default=0.0) <= _UNLED * largest:
