@@ -453,12 +453,13 @@ class _RestSearch:
             return spans
 
         def changes(readings: Array) -> Array:
-            mean = sliding_mean(readings, side)
-            return np.asarray(mean[side:] - mean[:-side])
+            """Return the means over `side` blocks less those over `side` before them (m, c)."""
+            total = np.cumsum(np.vstack([readings[:1], readings]) - readings[0], axis=0)
+            return np.asarray(total[2 * side :] - 2.0 * total[side:-side] + total[: -2 * side]) / side
 
-        usual = np.median(np.abs(np.concatenate([changes(values[k][rows]) for k, _, rows in inner])), axis=0)
-        for k, (first, last), rows in inner:
-            change = changes(values[k][rows])
+        all_changes = [changes(values[k][rows]) for k, _, rows in inner]
+        usual = np.median(np.abs(np.concatenate(all_changes)), axis=0)
+        for (k, (first, last), rows), change in zip(inner, all_changes, strict=True):
             beyond = (np.abs(change) - resolution) / np.maximum(usual, 1e-300)
             row, c = np.unravel_index(np.argmax(beyond), beyond.shape)
             step, at, reading = change[row, c], side + int(row), values[k][rows, [c]]

@@ -119,7 +119,10 @@ def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
         return None
     parts = np.array([np.linspace(a, b, PARTS + 1).astype(np.int64) for a, b in edges])
     samples, seconds = _samples_of(reduction.samples, parts), np.array(duration)
-    gyro_density, accel_density = (_noise_density(samples, kind, seconds) for kind in ("gyro", "accel"))
+    variances = (
+        independent_sample_variances(samples, kind).reshape(-1, PARTS).sum(axis=1) for kind in ("gyro", "accel")
+    )
+    gyro_density, accel_density = (float(np.quantile(variance / seconds, QUIET_SHARE)) for variance in variances)
     within = np.array([(f.first_sample, f.sample_at(len(f))) for f in (reduction.by_file[file[i]] for i in before)])
     start, stop = np.maximum(parts[:, 0] - 1, within[:, 0]), np.minimum(parts[:, -1] + 1, within[:, 1])
     least = smallest_distances(reduction, (gyro_density, accel_density))
@@ -181,12 +184,6 @@ def _value_at(means: Array, edge: int) -> Array:
     if means.shape[1] != 3 or not 2 <= edge <= len(means) - 2:
         return np.full(3, np.nan)
     return np.asarray(EDGE_WEIGHTS @ means[edge - 2 : edge + 2])
-
-
-def _noise_density(samples: TurnSamples, kind: SensorKind, duration: Array) -> float:
-    """Return the density of white noise in the quietest links, rad²/s of rates or m²/s³ of forces."""
-    variances = independent_sample_variances(samples, kind).reshape(-1, PARTS).sum(axis=1)
-    return float(np.quantile(variances / duration, QUIET_SHARE))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
