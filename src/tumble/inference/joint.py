@@ -124,6 +124,16 @@ def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], 
     readings = at_reference(linearisation) if "temperature" in problem.variables else observations.rests.accel
     force = specific_force(instrument, values, readings)
     variance, combinations = np.linalg.eigh(reducible / np.outer(spread, spread))
+    of_sessions = None
+    if (local := problem.local) is not None:
+        local_variance = np.diagonal(best.session_covariances, axis1=1, axis2=2)[:, : len(problem.local_u)]
+        of_sessions = OwnEstimate(
+            names=local.names[local.linear_count :],
+            units=local.units[local.linear_count :],
+            values=fitted.point.local,
+            u=np.sqrt(local_variance),
+            priors=problem.local_u,
+        )
     return Estimate(
         method="joint",
         names=instrument.names,
@@ -152,7 +162,7 @@ def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], 
             rate=usual_rate(fitted.linearisation.about),
         ),
         linearised=linearisation.with_priors(problem).with_components(fitted.components),
-        own=_local(fitted),
+        own=of_sessions,
         hyperparameters=tuple(_hyperparameters(fitted, found)),
         integral=found.integral,
         process_bias=tuple(_process_bias(fitted, found, common_covariance)),
@@ -215,20 +225,6 @@ def usual_rate(about: IntegratedTurns | None) -> float | None:
         return None
     moments = about.moments
     return float(np.sqrt(moments.body_rates[:, [0, 3, 5]].sum() / moments.T.sum()))
-
-
-def _local(fitted: Maximum) -> OwnEstimate | None:
-    local, q = fitted.problem.local, len(fitted.problem.local_u)
-    if local is None:
-        return None
-    variance = np.diagonal(fitted.solution.session_covariances, axis1=1, axis2=2)[:, :q]
-    return OwnEstimate(
-        names=local.names[local.linear_count :],
-        units=local.units[local.linear_count :],
-        values=fitted.point.local,
-        u=np.sqrt(variance),
-        priors=fitted.problem.local_u,
-    )
 
 
 def _findings(fitted: Maximum, by_lag: Array) -> Iterator[GroupFinding]:
