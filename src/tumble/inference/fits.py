@@ -60,8 +60,8 @@ def chi_square_falls(solution: Solution) -> Falls:
             continue
         back = np.swapaxes(W, 1, 2)
         pull, Q = (back @ residual[:, :, None])[:, rows, 0], (back @ covariance @ W)[:, rows, rows]
-        noise = np.linalg.inv(back @ W)[:, rows, rows]  # covariance, weights included
-        size = np.sqrt(np.diagonal(noise, axis1=1, axis2=2))
+        N = np.linalg.inv(back @ W)[:, rows, rows]  # covariance, weights included
+        size = np.sqrt(np.diagonal(N, axis1=1, axis2=2))
         variance, directions = np.linalg.eigh(Q * size[:, :, None] * size[:, None, :])
         free = variance > INFORMATIVE_VARIANCE
         square = ((pull * size)[:, None] @ directions)[:, 0] ** 2
@@ -70,7 +70,7 @@ def chi_square_falls(solution: Solution) -> Falls:
         if len(out := np.flatnonzero(weight.min(axis=1) < 1.0)):
             valid = variance[out] > ROUNDING_VARIANCE * variance[out].max(axis=1, keepdims=True)
             spread, along = 1.0 / np.where(valid, variance[out], 1.0), directions[out] * valid[:, None]
-            added = noise[out] / size[out][:, :, None] / size[out][:, None, :]
+            added = N[out] / size[out][:, :, None] / size[out][:, None, :]
             added *= 1.0 - weight[out][:, :, None] * weight[out][:, None, :]
             difference = spread * ((pull[out] * size[out])[:, None] @ along)[:, 0]
             by_others = spread[:, :, None] * np.eye(spread.shape[1]) - np.swapaxes(along, 1, 2) @ added @ along
