@@ -1,11 +1,11 @@
 """Expected uncertainties of a calibration, the best next positions, and the requirements of a wanted accuracy.
 
 With the method `joint` (`tumble.planning.bounds.expected_bound`), a wanted accuracy requires longer rests, or more
-positions, each the best next one; errors of table and mounting have no effect. Rests shorter than those that `calibrate`
-finds (`least_rest`) are refused, and never required. With the methods of the turntable paper,
+positions, each the best next one; errors of table and mounting have no effect. With the methods of the turntable paper,
 whose accuracy formulas are in `tumble.planning.pass_errors`, it requires tolerances of table and mounting and a
-duration T of rests. With the wanted u w, the variance f² that no table changes, that of rest noise n²/T, and the part
-d(s)² by s times the errors of table and mounting,
+duration T of rests. Shorter rests than `calibrate` finds (`least_rest`) are refused, and never required. With the
+wanted u w, the variance f² that no table changes, that of rest noise n²/T, and the part d(s)² by s times the errors of
+table and mounting,
 
     n²/T = ¼ (w² − f²),   d(s)² = ¾ (w² − f²)
 """
@@ -249,7 +249,9 @@ def least_rest(setup: Setup) -> float:
     programme, q, w = setup.programme, USUAL.quiet_share, USUAL.window
     N = len(programme.positions)
     M = time_of(programme, setup) - N * setup.rest
-    about_vertical = (abs(m.angle) for m in programme.moves if m.angle and m.axis is not None and abs(m.axis @ UP) > 0.5)
+    about_vertical = (
+        abs(m.angle) for m in programme.moves if m.angle and m.axis is not None and abs(m.axis @ UP) > 0.5
+    )
     T = max(about_vertical, default=0.0) / setup.turn_rate
     return max(USUAL.still, math.ceil((w + q * M / N) / (1.0 - q)), math.ceil(w + 2.0 * (T - w) / N))
 
