@@ -7,7 +7,7 @@ import pytest
 
 from tumble.reduction.blocks.reducer import ChannelState
 from tumble.reduction.noise.rounding import Rounding, rounding, rounding_notes
-from tumble.units import Array
+from tumble.units import DEGREE, Array
 
 STEP = 1.19709e-3
 RESTS, BLOCKS, SIZE = 26, 50, 10
@@ -101,6 +101,24 @@ def test_the_error_that_all_rests_have_is_what_is_said(noise: float) -> None:
         found = rounding(samples, list(values.reshape(18, 100, 1)), [state(samples[:, 0])])
         u = np.hypot(found.common_u[0], values.std() / np.sqrt(1800))
         relative.append((values.mean() - true) / u)
+    assert np.sqrt(np.mean(np.square(relative))) < 1.3
+    assert np.max(np.abs(relative)) < 4.5
+
+
+@pytest.mark.parametrize("noise", [0.1, 0.2, 0.3, 0.35, 0.4])
+def test_decimals_round_what_a_chip_has_rounded_before(noise: float) -> None:
+    """100 gyros of 1/33 °/s a step in a log of 0.1 °/s: the edges between decimals differ by half a step of the chip,
+    which no noise averages out."""
+    rng = np.random.default_rng(9)
+    decimal, chip = DEGREE * 0.1, DEGREE / 33.0
+    moving = decimal * rng.integers(-1000, 1000, (3000, 1))
+    relative = []
+    for true in rng.uniform(-20.0, 20.0, 100) * decimal:
+        by_chip = chip * np.round((true + noise * decimal * rng.standard_normal((1800, 1))) / chip)
+        values = decimal * np.round(by_chip / decimal)
+        samples = np.concatenate([values, moving])
+        found = rounding(samples, list(values.reshape(18, 100, 1)), [state(samples[:, 0])])
+        relative.append((values.mean() - true) / np.hypot(found.common_u[0], values.std() / np.sqrt(1800)))
     assert np.sqrt(np.mean(np.square(relative))) < 1.3
     assert np.max(np.abs(relative)) < 4.5
 

@@ -6,7 +6,8 @@ Rounding. If noise does not cover the steps L of a channel, the error of the mea
 position of the true value between two steps (`tumble.reduction.noise.rounding`). Rests with equal readings have equal
 errors, and so does a turn about another axis: the error is one of the bias. For rests whose true values scatter by s,
 the part e^(−2π²s²/L²) of the error is common; for accelerometers in several attitudes, no part is. Readings scatter by
-up to 1 + 2 Σ_k e^(−2π²k²σ²/L²) times as much as the true values between two steps.
+up to 1 + 2 Σ_k e^(−2π²k²σ²/L²) times as much as the true values between two steps. Where decimals round what a chip
+has rounded before, the part by the chip decreases with the width √(σ² + s²) of the readings only as its square root.
 
 Time base. A clock that is fast by ε makes every turn longer by ε, and the scale factors of gyros larger by ε, unless
 their readings are increments of angle. Accelerometers are compared with gravity, independently of time; but readings
@@ -150,6 +151,7 @@ def fit_budget(covariance: Array, by_gravity: Array, gravity_u: float, degrees: 
 
 
 _HARMONICS = np.arange(1, 40)
+_ONE_EDGE = 0.5 / np.sqrt(np.pi)  # steps: width of normal readings up to which one edge between two steps decides
 
 
 def common_covariances(observations: Observations, instrument: Instrument) -> dict[str, Array]:
@@ -183,7 +185,9 @@ def common_rounding(rounding: Rounding, readings: Array) -> Array:
     step = np.where(rounding.step > 0.0, rounding.step, 1.0)
     smoothed = np.exp(-2.0 * (np.pi * np.outer(rounding.noise / step, _HARMONICS)) ** 2)
     scatter = readings.std(axis=0) / step / (1.0 + 2.0 * smoothed.sum(axis=1))
-    return np.asarray(rounding.common_u * np.exp(-2.0 * (np.pi * scatter) ** 2))
+    width = np.maximum(np.hypot(rounding.noise / step, scatter), _ONE_EDGE)
+    by_position = (rounding.common_u**2 - np.square(rounding.decimal_u)) * np.exp(-4.0 * (np.pi * scatter) ** 2)
+    return np.asarray(np.sqrt(by_position + np.square(rounding.decimal_u) * _ONE_EDGE / width))
 
 
 def clock_effects(clock_u: float, increments: Mapping[str, bool]) -> dict[str, float]:

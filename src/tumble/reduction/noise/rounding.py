@@ -13,6 +13,13 @@ scatter is that of a single position x (nearly zero in the middle between two ed
 the noise), and shows how large the error may be. In a turn at a steady rate the error lasts as long as the rate stays
 between two steps.
 
+A log in decimals, such as 0.1 °/s, rounds a second time what a chip has rounded to a finer step f. The value at which
+a reading changes then differs by up to f/2 from the middle between two decimals, and so does the error of the means
+that cross it, however much noise they average. f is not visible in the log, but a chip whose noise shows has f ≤ σ, so
+that the bound of the standard uncertainty is σ/√12. Over a width w of readings, of about L/w such edges, it decreases to
+
+    u² = σ²/12 · L/(2√π w),    w ≥ L/(2√π).
+
 Source: Widrow & Kollár, Quantization Noise, 2008, on the moments of a rounded Gaussian.
 """
 
@@ -26,7 +33,7 @@ import numpy as np
 import scipy
 
 from tumble.reduction.blocks.reducer import ChannelState
-from tumble.units import DEGREE_PER_HOUR, G_STANDARD, Array, BoolArray, IntArray
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, Array, BoolArray, IntArray
 
 ON_GRID = 0.1  # steps: deviation of a difference on the grid from a whole number of steps
 GRID_SHARE = 0.95  # least fraction of differences on the grid
@@ -36,6 +43,8 @@ MAX_SAMPLES = 2**13  # enough to show a grid as coarse as the noise
 SMOOTHING_NOISE = 0.5  # steps: noise from which rounding is negligible
 SAME_READING = 0.2  # steps: standard deviation of the means of rests with the same reading
 RARE = 0.01  # fraction of samples up to which a second value is not informative
+IS_DECIMAL = 1e-4  # deviation of the logarithm to base 10 of a step from a whole number
+DECIMAL_UNITS = 1.0, DEGREE, G_STANDARD  # of readings in a log, SI
 LITTLE_NOISE = 0.1  # steps: noise below which a reading stays on one step while the true value does
 _TERMS = np.arange(1, 40)
 
@@ -46,12 +55,13 @@ class Rounding:
 
     `step` (n,): resolution, 0 for values on no grid. `noise` (n,): of a sample before rounding. `rest_u` (n,): standard
     uncertainty of the mean of a rest whose position between two steps is random. `common_u` (n,): that of the error
-    common to all rests."""
+    common to all rests. `decimal_u` (n,): the part of it by the finer step of a chip whose readings are in decimals."""
 
     step: Array
     noise: Array
     rest_u: Array
     common_u: Array
+    decimal_u: Array | float = 0.0
 
     @property
     def coarse(self) -> BoolArray:
@@ -100,11 +110,15 @@ def rounding(samples: Array, rests: Sequence[Array], channels: Sequence[ChannelS
         if np.mean(whole != 0.0) > RARE:
             relative[i], common[i] = _at_one_position(whole)
             noise[i] = relative[i] * step[i]
+    digits = np.log10(np.divide.outer(DECIMAL_UNITS, np.where(step > 0.0, step, 1.0)))
+    decimal = (np.abs(digits - np.round(digits)) < IS_DECIMAL).any(axis=0)
+    decimal_u = np.where(decimal & (relative <= SMOOTHING_NOISE), noise / np.sqrt(12.0), 0.0)
     return Rounding(
         step=step,
         noise=noise,
         rest_u=step * np.sqrt(_mean_square(relative)),
-        common_u=step * common,
+        common_u=np.hypot(step * common, decimal_u),
+        decimal_u=decimal_u,
     )
 
 
