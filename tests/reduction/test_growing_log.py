@@ -178,12 +178,23 @@ def test_held_samples_are_counted(session: Recording, share: float) -> None:
     assert one_file(session, np.arange(len(session.time))).held == 0
 
 
+@pytest.mark.parametrize("sizes", [[], [7] * 1000, [301, 5, 5, 5, 900]])
+def test_runs_of_held_rows_are_gaps(session: Recording, sizes: list[int]) -> None:
+    """Rows that stay for 0.3 s, and for 0.1 s, which can be bridged; whatever the chunks."""
+    rows = np.arange(len(session.time))
+    rows[301:316], rows[700:705] = 300, 699
+    log = replace(session, accel=session.accel[rows], gyro=session.gyro[rows])
+    (gap,) = fed(chunks(log, sizes)).now().held_runs
+    assert (gap.time, gap.stop, gap.samples) == (session.time[301], session.time[316], 15)
+    assert not gap.integrable
+
+
 def test_coarse_channels_repeat_without_being_held(session: Recording) -> None:
     """In steps of a noise or two most rows at rest repeat by chance."""
     coarse = replace(session, accel=np.round(session.accel / 0.05) * 0.05, gyro=np.round(session.gyro / 0.02) * 0.02)
     shown = one_file(coarse, np.arange(len(session.time)))
     assert shown.repeated_rows > 10
-    assert shown.held == 0
+    assert (shown.held, shown.held_runs) == (0, ())
 
 
 def test_long_intervals_leave_room_for_lost_samples(session: Recording) -> None:

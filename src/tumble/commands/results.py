@@ -129,11 +129,11 @@ def compare(first: Path, second: Path) -> None:
 
 @click.command(epilog=params.examples("tumble apply imu-7/calibration.json flight-12 -o corrected.parquet"))
 @click.argument("calibration", type=params.FILE)
-@click.argument("session", type=params.PATH)
+@click.argument("recording", metavar="SESSION|LOG", type=params.PATH)
 @params.out("File to write: .csv or .parquet.", required=True)
 @params.force()
-def apply(calibration: Path, session: Path, out: Path, force: bool) -> None:
-    """Correct the recording of SESSION with CALIBRATION, a calibration file of the same device.
+def apply(calibration: Path, recording: Path, out: Path, force: bool) -> None:
+    """Correct the recording of a session, or a log, with CALIBRATION, a calibration file of the same device.
 
     Corrected values are in SI under the session's column names, or in the unit that these names say; every other column
     is copied.
@@ -141,8 +141,10 @@ def apply(calibration: Path, session: Path, out: Path, force: bool) -> None:
     from tumble.recording.session_file import read_session
     from tumble.use.apply import apply_to_session, correction_notes
 
-    described = read_session(session)
-    apply_to_session(calibration, described, out, force=force)
-    console.say(f"written to {out}")
-    for sentence in correction_notes(calibration, described):
-        console.say(sentence)
+    options = _serial_and_place(calibration) if is_log(recording) else {}
+    with session_folders([recording], options) if options else nullcontext([recording]) as (folder,):
+        session = read_session(folder)
+        apply_to_session(calibration, session, out, force=force)
+        console.say(f"written to {out}")
+        for sentence in correction_notes(calibration, session):
+            console.say(sentence)

@@ -86,7 +86,8 @@ class Live:
     def _update(self, excluded: tuple[Exclusion, ...]) -> None:
         """Update the progress by the samples so far."""
         if self._reducer is not None:
-            reduction = replace(self._reducer.now(), gaps=tuple(self._streamed.gaps))
+            reduction = self._reducer.now()
+            reduction = replace(reduction, gaps=(*self._streamed.gaps, *reduction.held_runs))
             if reduction.files and len(reduction.files[-1]):
                 self.now = self._progress(reduction, excluded)
                 self._report_restart(self.now)

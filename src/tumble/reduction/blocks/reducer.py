@@ -22,9 +22,12 @@ from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.turns.array_motion import FEWEST
 from tumble.rotation import onto_body
 from tumble.sensors.model import Block, left_null_space
-from tumble.units import Array, IntArray
+from tumble.units import Array, BoolArray, IntArray
 
 BLOCK_SECONDS = 0.1
+FEWEST_HELD = 6  # repeated rows in a run that cost a turn; fewer lost samples are bridged
+MOST_RUNS = 1000  # of repeated rows that are kept; more show how a log is sampled
+HELD_BY_CHANCE = 1e-3  # greatest expected number of such runs in a log if its channels repeat independently
 GAP_INTERVALS = 2.0  # uncovered time between two samples, in sample intervals, beyond which it is a gap, not jitter
 
 
@@ -122,8 +125,8 @@ class Reduction:
     """A log, or the part of it that has been read, reduced to blocks.
 
     `samples`: the samples for the turns, None without gyros. `lost`: lost samples by long intervals, without those that
-    were bridged on reading. `repeated_rows`: rows in which all accelerometers and gyros repeat the row before. `gaps`:
-    gaps of the log. `blemishes`: blocks with bad samples, which have no weight. `tuning`: thresholds of the search for
+    were bridged on reading. `repeated_rows`: rows in which all accelerometers and gyros repeat the row before, `runs`:
+    their runs of FEWEST_HELD rows and more, as gaps. `gaps`: gaps of the log. `blemishes`: blocks with bad samples, which have no weight. `tuning`: thresholds of the search for
     rests and bad samples. `clock_rate`: true seconds per second of the log's clock. Times are by this clock, intervals
     of samples in true seconds."""
 
@@ -135,6 +138,7 @@ class Reduction:
     magnetometer_channels: tuple[ChannelState, ...]
     lost: int
     repeated_rows: int
+    runs: tuple[Gap, ...] = ()
     gaps: tuple[Gap, ...] = ()
     blemishes: tuple[Blemish, ...] = ()
     tuning: Tuning = USUAL
@@ -158,10 +162,22 @@ class Reduction:
         a `held_share` of the log would rarely do so together."""
         channels = self.accel_channels + self.gyro_channels
         samples, fewest = channels[0].samples, min(channel.repeats for channel in channels)
-        share = self.tuning.held_share * samples
-        chance = share * float(np.prod([min(1.0, channel.repeats / max(share, 1.0)) for channel in channels]))
+        share, chance = self._repeats_by_chance
         together = self.repeated_rows >= 0.8 * fewest and fewest <= 0.7 * samples
-        return self.repeated_rows if together or self.repeated_rows > 3.0 * chance + 3.0 else 0
+        return self.repeated_rows if together or self.repeated_rows > 3.0 * share * chance + 3.0 else 0
+
+    @property
+    def held_runs(self) -> tuple[Gap, ...]:
+        """Runs of repeated rows that independent channels hardly have by chance, as gaps."""
+        share, chance = self._repeats_by_chance
+        return tuple(gap for gap in self.runs if share * chance**gap.samples < HELD_BY_CHANCE)
+
+    @property
+    def _repeats_by_chance(self) -> tuple[float, float]:
+        """Number of samples at rest, a `held_share` of the log, and probability that all channels repeat in one."""
+        channels = self.accel_channels + self.gyro_channels
+        share = self.tuning.held_share * channels[0].samples
+        return share, float(np.prod([min(1.0, channel.repeats / max(share, 1.0)) for channel in channels]))
 
 
 class _Growing:
@@ -270,6 +286,7 @@ class Reducer:
         self._stored = MotionSamples(n_spare) if gyro else None
         self._lost = self._repeated = 0
         self._last: tuple[Array, ...] = ()
+        self._runs, self._run = list[Gap](), (0, 0.0)  # of repeated rows; the length and start, s, of the present one
 
     def feed(self, chunk: Chunk) -> None:
         """Add the next samples of the log."""
@@ -279,7 +296,7 @@ class Reducer:
             for channels in self._channels.values():
                 channels.begin_file()
             self._file, self._first, self._count = chunk.file, self._first + self._count, 0
-            self._edges, self._last, self._uncovered = _Growing(1), (), {}
+            self._edges, self._last, self._uncovered, self._run = _Growing(1), (), {}, (0, 0.0)
             self._temperature = _Growing(1 if chunk.temperature is None else chunk.temperature.shape[1])
             self._edges.add(np.array([[chunk.time[0] - chunk.dt[0]]]))
         # the time, s, in each block that no sample covers
@@ -308,17 +325,40 @@ class Reducer:
             self._temperature.add(chunk.temperature[ends])
         # rows that are equal to the row before; the first row of a file has none before it
         readings = (chunk.accel,) if chunk.gyro is None else (chunk.accel, chunk.gyro)
+        repeats = np.zeros(len(chunk.time), dtype=bool)
         if self._last:
-            self._repeated += all(np.array_equal(v[0], last) for v, last in zip(readings, self._last, strict=True))
+            repeats[0] = all(np.array_equal(v[0], last) for v, last in zip(readings, self._last, strict=True))
         rows = np.flatnonzero(chunk.accel[1:, 0] == chunk.accel[:-1, 0])
         for values in readings:
             rows = rows[(values[rows + 1] == values[rows]).all(axis=1)]
-        self._repeated += len(rows)
+        repeats[rows + 1] = True
+        self._repeated += int(np.count_nonzero(repeats))
+        self._add_runs(chunk, repeats)
         self._last = tuple(values[-1].copy() for values in readings)
         late = chunk.dt[chunk.dt > 1.5 / self.rate]
         self._lost += int(np.round(late * self.rate).sum()) - len(late)
         self._count += len(chunk.time)
         self._stop = float(chunk.time[-1])
+
+    def _add_runs(self, chunk: Chunk, repeats: BoolArray) -> None:
+        """Add the runs of rows (m,) of a chunk that repeat the row before; one at its end may go on in the next."""
+        length, since = self._run
+        starts, stops = np.flatnonzero(np.diff(repeats, prepend=False, append=False)).reshape(-1, 2).T
+        if length and not repeats[0]:
+            starts, stops = np.append(0, starts), np.append(0, stops)
+        more = np.zeros(len(starts), dtype=int)
+        more[: length > 0] = length
+        goes_on = stops == len(repeats)
+        self._run = 0, 0.0
+        for i in np.flatnonzero((stops - starts + more >= FEWEST_HELD) | goes_on).tolist():
+            start = since if more[i] else float(chunk.time[starts[i]])
+            length = int(stops[i] - starts[i] + more[i])
+            if goes_on[i]:
+                self._run = length, start
+            elif len(self._runs) < MOST_RUNS:
+                why = f"{length} of its samples repeat the one before, as held in place of lost ones"
+                gap = Gap(file=chunk.file, row=0, time=start, samples=length, what="held samples", why=why)
+                self._runs.append(replace(gap, stop=float(chunk.time[stops[i]]), integrable=False))
 
     def _covered(self, first: int, edges: Array) -> Array:
         """Return the time (k,), s, covered by samples in the blocks from `first` on with these edges (k + 1,)."""
@@ -370,6 +410,7 @@ class Reducer:
             magnetometer_channels=self._channels["magnetometer"].states(),
             lost=self._lost,
             repeated_rows=self._repeated,
+            runs=tuple(self._runs),
             clock_rate=self.clock_rate,
         )
 
@@ -402,4 +443,5 @@ def reduce_log(
         raise LogError(
             f"{log.name}: expected stretches of {BLOCK_SECONDS:g} s and longer without a gap, found none; record again"
         )
-    return replace(reduction, gaps=log.gaps, tuning=tuning)
+    reduction = replace(reduction, tuning=tuning)
+    return replace(reduction, gaps=(*log.gaps, *reduction.held_runs))
