@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -246,3 +247,15 @@ def test_the_command_replaces_only_with_force(tmp_path: Path) -> None:
     assert again.exit_code == 2
     assert "give --force" in again.stderr
     assert CliRunner().invoke(main, [*words, "--force"]).exit_code == 0
+
+
+def test_the_command_takes_a_log(tmp_path: Path) -> None:
+    """As `calibrate` and `check` do: with the serial number and the place of the calibration."""
+    folder = simulate_session(tmp_path / "made", Setup.of(grade="mems", positions=6), seed=1)
+    made = calibration()
+    made.write(tmp_path / "c.json")
+    log = shutil.copy(folder / "log.parquet", tmp_path)
+    result = CliRunner().invoke(main, ["apply", str(tmp_path / "c.json"), log, "-o", str(tmp_path / "out.parquet")])
+    assert result.exit_code == 0, result.stderr
+    found, seen = pl.read_parquet(tmp_path / "out.parquet"), pl.read_parquet(log)
+    np.testing.assert_allclose(found["ax"], made.apply(seen.select("ax", "ay", "az").to_numpy())[0][:, 0], rtol=1e-12)
