@@ -100,6 +100,7 @@ def test_six_columns_without_names_of_a_body_that_is_never_at_rest(tmp_path: Pat
     ("names", "said"),
     [
         ("t,Raw X Gyro,Raw Y Gyro,Raw Z Gyro", "found gyros alone"),
+        ("t,axx,axy,axz,gyx,gyy,gyz", r"gyros alone \(gyx.* not understood \(axx, axy, axz\); .*\(accel axx,axy,axz\)"),
         ("t,fx_uT,fy_uT,fz_uT", "found a magnetometer alone .*; log the accelerometers in the same rows"),
         ("t,estLinearAccelX,estLinearAccelY,estLinearAccelZ", "found linear acceleration, which a filter has taken"),
         ("t,LinAccX,LinAccY,LinAccZ", "found linear acceleration, which a filter has taken"),
@@ -107,7 +108,8 @@ def test_six_columns_without_names_of_a_body_that_is_never_at_rest(tmp_path: Pat
 )
 def test_what_names_say_is_no_accelerometer_is_refused(names: str, said: str, tmp_path: Path) -> None:
     read = np.random.default_rng(4).normal(scale=0.3, size=(600, 3))
-    log = text(tmp_path / "log.csv", f"{names}\n", np.column_stack([0.1 * np.arange(600), read]))
+    sensors = np.tile(read, names.count(",") // 3)
+    log = text(tmp_path / "log.csv", f"{names}\n", np.column_stack([0.1 * np.arange(600), sensors]))
     with pytest.raises(InputError, match=said):
         new_session(tmp_path / "s", log)
 

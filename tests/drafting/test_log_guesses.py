@@ -170,6 +170,8 @@ def test_a_counter_starts_anew_only_where_it_can() -> None:
     assert overflow_of(stamps) is None
     counter: Array = np.asarray(np.arange(1000.0) * 100.0 % 65536.0)
     assert overflow_of(counter) == 65536.0
+    of_second: Array = np.asarray(np.arange(1.0, 1000.0) * 10.0 % 1000.0)
+    assert overflow_of(of_second) == 1000.0
     assert overflow_of(np.array([3.0, 2.0, 1.0])) is None
 
 

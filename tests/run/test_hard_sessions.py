@@ -276,6 +276,12 @@ def test_a_rest_that_was_touched_is_left_out_and_said(hand: Recorded) -> None:
     assert "with what was left out: accepted" in again.provenance.notes
 
 
+def test_a_latitude_that_may_be_in_radians_is_noted(hand: Recorded) -> None:
+    made = tumble.calibrate(accel=hand.accel, gyro=hand.gyro, time=hand.time, latitude=float(np.radians(0.8395)))
+    assert "latitude 0.8395° as stated; 48.1° if radians were meant" in made.provenance.notes
+    assert not any("radians" in remark for remark in made.outcome.remarks)
+
+
 def test_without_a_place_everything_is_given_with_gravity_in_u(hand: Recorded) -> None:
     made = tumble.calibrate(accel=hand.accel, gyro=hand.gyro, time=hand.time)
     assert made.outcome.verdict == "accepted with scatter"

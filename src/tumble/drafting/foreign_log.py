@@ -26,6 +26,7 @@ from tumble.recording.columns.names import (
     time_unit,
     unit_of_name,
 )
+from tumble.recording.columns.numbers import differ_in_axis_alone
 from tumble.recording.columns.scales import CANDIDATES
 from tumble.recording.log_source import LogSource
 from tumble.recording.readers import source_of
@@ -267,6 +268,12 @@ class ForeignLog:
             remedy = "log the raw accelerometers"
         elif sum(not is_no_sensor(n) for n in names) >= 3:
             remedy = "state which they are (--accel N,N,N, names or numbers from 1)"
+        known = {self.columns.time, *self.columns.temperatures, *(c for triad in triads.values() for c in triad.columns)}
+        unknown = [name for name in names if name not in known and not is_no_sensor(name)]
+        if GYRO in triads and len(unknown) >= 3 and differ_in_axis_alone(unknown[:3]):
+            found += f" and columns that are not understood ({', '.join(unknown[:SHOWN_NAMES])[:120]})"
+            remedy = f"state the accelerometers (--accel {','.join(unknown[:3])})"
+            raise InputError(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
         kind = GyrosAloneError if GYRO in triads else InputError
         raise kind(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
 

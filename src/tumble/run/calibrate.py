@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -44,7 +45,7 @@ from tumble.run.warming import calibrate_warming, is_still
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import Terms, prior_sizes, usual_sizes
-from tumble.units import G_STANDARD
+from tumble.units import DEGREE, G_STANDARD
 
 _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
@@ -217,7 +218,7 @@ def _calibrated(
         sentence = clock.sentence(" and ".join(clock_effects(clock.u, log.increments)) or "no parameter")
         contradicted = abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * session.log.time_base_u
         return _with(repeated, remarks={sentence: ()}) if contradicted else _with(repeated, notes=(sentence,))
-    bridged = (*gap_notes(observed.gaps), *observed.segmentation.unused())
+    bridged = (*_latitude_notes(session), *gap_notes(observed.gaps), *observed.segmentation.unused())
     provenance = replace(
         new_provenance(observed.sha256),
         sample_rate=observed.rate,
@@ -404,6 +405,14 @@ def assumptions(session: Session) -> tuple[str, ...]:
             f"{' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact"
         )
     return (*sentences, *(f"doubt: {doubt}" for doubt in log.doubts))
+
+
+def _latitude_notes(session: Session) -> tuple[str, ...]:
+    """Return a note on a latitude with three decimals or more that may have been meant in radians."""
+    degrees = (session.site.latitude or 0.0) / DEGREE
+    if abs(degrees) >= 0.5 * math.pi or abs(degrees - round(degrees, 2)) < 1e-9:
+        return ()
+    return (f"latitude {degrees:.6g}° as stated; {degrees / DEGREE:.3g}° if radians were meant",)
 
 
 def new_provenance(log_sha256: str) -> Provenance:

@@ -123,7 +123,7 @@ def _ranked_hypotheses(names: Sequence[str], table: Array, columns: Sequence[int
         if j not in attitudes and rises + falls > 0 and min(rises, falls) > _ONE_WAY_SHARE * max(rises, falls):
             candidates.append(j)
     triples = [(j, j + 1, j + 2) for j in candidates if j + 1 in candidates and j + 2 in candidates]
-    triples = [triple for triple in triples if _differ_in_axis_alone([names[j] for j in triple])]
+    triples = [triple for triple in triples if differ_in_axis_alone([names[j] for j in triple])]
     if not triples or len(table) < _FEWEST_ROWS or not (quiet := _quiet_blocks(table[:, candidates])).any():
         return []
     noise = dict[Triple, float]()
@@ -165,7 +165,7 @@ def _triads_in_motion(names: Sequence[str], table: Array, columns: Sequence[int]
     triples = [tuple(varying[k : k + 3]) for k in range(0, len(varying), 3)]
     if len(varying) not in (3, 6) or any(triple[2] - triple[0] != 2 for triple in triples) or len(table) < _FEWEST_ROWS:
         return {}
-    if not all(_differ_in_axis_alone([names[j] for j in triple]) for triple in triples) or _attitudes(table, varying):
+    if not all(differ_in_axis_alone([names[j] for j in triple]) for triple in triples) or _attitudes(table, varying):
         return {}
     units = [c.value for c in CANDIDATES[ACCEL] if c.unit is not None and not c.increment]
     reads_gravity = []
@@ -262,7 +262,7 @@ def _cost_of_turning(rates: Array, accel: Array, quiet: BoolArray) -> float:
     return _CARRIED * (float(residual @ residual) / float(wanted @ wanted) - 0.5)
 
 
-def _differ_in_axis_alone(names: Sequence[str]) -> bool:
+def differ_in_axis_alone(names: Sequence[str]) -> bool:
     """Return whether three names differ in one word or letter, like those of axes and unlike TRSS, TQly and TSNR."""
     arrays = {match[1] if (match := _ARRAY_ELEMENT.fullmatch(name)) else "" for name in names}  # `imu/fb`
     if len(arrays) > 1:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -258,7 +259,7 @@ class LogTable(SessionTable):
     def si(self, folder: Path) -> LogSpec:
         dialect = self.model_dump(include={*DIALECT_KEYS}, exclude_none=True)
         return LogSpec(
-            files=tuple(folder / file for file in ([self.file] if isinstance(self.file, str) else self.file)),
+            files=tuple(_as_given(folder / file) for file in ([self.file] if isinstance(self.file, str) else self.file)),
             time=self.time,
             time_factor=TIME_UNITS.get(self.time_unit or "s", 1.0),
             rate=self.rate_hz,
@@ -272,3 +273,9 @@ class LogTable(SessionTable):
             dialect=Dialect(**dialect) if dialect else None,
             clock_u=None if self.clock_ppm_u is None else 1e-6 * self.clock_ppm_u,
         )
+
+
+def _as_given(path: Path) -> Path:
+    """Return the path of a file without `folder/..`, unless a link makes that another file."""
+    plain = Path(os.path.normpath(path))
+    return plain if path.is_file() and plain.is_file() and plain.samefile(path) else path
