@@ -268,7 +268,8 @@ class ForeignLog:
             remedy = "log the raw accelerometers"
         elif sum(not is_no_sensor(n) for n in names) >= 3:
             remedy = "state which they are (--accel N,N,N, names or numbers from 1)"
-        known = {self.columns.time, *self.columns.temperatures, *(c for triad in triads.values() for c in triad.columns)}
+        sensors = [column for triad in triads.values() for column in triad.columns]
+        known = {self.columns.time, *self.columns.temperatures, *sensors}
         unknown = [name for name in names if name not in known and not is_no_sensor(name)]
         if GYRO in triads and len(unknown) >= 3 and differ_in_axis_alone(unknown[:3]):
             found += f" and columns that are not understood ({', '.join(unknown[:SHOWN_NAMES])[:120]})"

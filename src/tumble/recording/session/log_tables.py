@@ -258,8 +258,9 @@ class LogTable(SessionTable):
 
     def si(self, folder: Path) -> LogSpec:
         dialect = self.model_dump(include={*DIALECT_KEYS}, exclude_none=True)
+        files = [self.file] if isinstance(self.file, str) else self.file
         return LogSpec(
-            files=tuple(_as_given(folder / file) for file in ([self.file] if isinstance(self.file, str) else self.file)),
+            files=tuple(_as_given(folder / file) for file in files),
             time=self.time,
             time_factor=TIME_UNITS.get(self.time_unit or "s", 1.0),
             rate=self.rate_hz,

@@ -26,6 +26,7 @@ from tumble.units import Array, BoolArray, IntArray
 
 BLOCK_SECONDS = 0.1
 FEWEST_HELD = 6  # repeated rows in a run that cost a turn; fewer lost samples are bridged
+MOST_HELD = 0.05  # fraction of the rows of a log up to which those that repeat can be held
 MOST_RUNS = 1000  # of repeated rows that are kept; more show how a log is sampled
 HELD_BY_CHANCE = 1e-3  # greatest expected number of such runs in a log if its channels repeat independently
 GAP_INTERVALS = 2.0  # uncovered time between two samples, in sample intervals, beyond which it is a gap, not jitter
@@ -126,9 +127,9 @@ class Reduction:
 
     `samples`: the samples for the turns, None without gyros. `lost`: lost samples by long intervals, without those that
     were bridged on reading. `repeated_rows`: rows in which all accelerometers and gyros repeat the row before, `runs`:
-    their runs of FEWEST_HELD rows and more, as gaps. `gaps`: gaps of the log. `blemishes`: blocks with bad samples, which have no weight. `tuning`: thresholds of the search for
-    rests and bad samples. `clock_rate`: true seconds per second of the log's clock. Times are by this clock, intervals
-    of samples in true seconds."""
+    their runs of FEWEST_HELD rows and more, as gaps. `gaps`: gaps of the log. `blemishes`: blocks with bad samples,
+    which have no weight. `tuning`: thresholds of the search for rests and bad samples. `clock_rate`: true seconds per
+    second of the log's clock. Times are by this clock, intervals of samples in true seconds."""
 
     rate: float
     files: tuple[FileBlocks, ...]
@@ -168,7 +169,11 @@ class Reduction:
 
     @property
     def held_runs(self) -> tuple[Gap, ...]:
-        """Runs of repeated rows that independent channels hardly have by chance, as gaps."""
+        """Runs of repeated rows that independent channels hardly have by chance, as gaps.
+
+        None if many rows repeat: then rounding hides the noise of a device at rest, or each sample is logged often."""
+        if self.repeated_rows > MOST_HELD * self.accel_channels[0].samples:
+            return ()
         share, chance = self._repeats_by_chance
         return tuple(gap for gap in self.runs if share * chance**gap.samples < HELD_BY_CHANCE)
 

@@ -13,10 +13,10 @@ scatter is that of a single position x (nearly zero in the middle between two ed
 the noise), and shows how large the error may be. In a turn at a steady rate the error lasts as long as the rate stays
 between two steps.
 
-A log in decimals, such as 0.1 °/s, rounds a second time what a chip has rounded to a finer step f. The value at which
-a reading changes then differs by up to f/2 from the middle between two decimals, and so does the error of the means
-that cross it, however much noise they average. f is not visible in the log, but a chip whose noise shows has f ≤ σ, so
-that the bound of the standard uncertainty is σ/√12. Over a width w of readings, of about L/w such edges, it decreases to
+A log in decimals, such as 0.1 °/s, rounds a second time what a chip has rounded to a finer step f. The value at which a
+reading changes then differs by up to f/2 from the middle between two decimals, and so does the error of the means that
+cross it, however much noise they average. f is not visible in the log, but a chip whose noise shows has f ≤ σ, so that
+the bound of the standard uncertainty is σ/√12. Over a width w of readings, of about L/w such edges, it decreases to
 
     u² = σ²/12 · L/(2√π w),    w ≥ L/(2√π).
 
