@@ -22,7 +22,7 @@ import scipy
 from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, with_unit
 from tumble.diagnosis.linearised_session import PATH_STEPS, SHORTEST_TURN, LinearisedSession
 from tumble.diagnosis.projection import FALSE_ALARMS, Projection, diagnostic_solution, projections
-from tumble.earth import earth_rate
+from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import VarianceComponents
@@ -373,25 +373,39 @@ def gyro_nonlinearity(session: LinearisedSession, about: IntegratedTurns, gyro: 
 
 
 def earth_rate_errors(session: LinearisedSession) -> Iterator[Candidate]:
-    """Yield an error of the latitude, rad, and a relative error of the clock of the log, by finite differences.
+    """Yield an error of the latitude, rad, and a relative error of the clock of the log.
 
     If a second of the log lasts 1 + ε s, the angles of turns are larger by ε, which is the effect of scale factors of
     the gyros; velocities change as by lever arms and delays. Only the Earth's rate, (1 + ε) Ω in the log's seconds,
-    shows it."""
-    step, latitude, rows = 1e-4, session.observations.site.latitude, session.linearised
+    shows it. The rows are linear in its components along north and up. An error of the latitude moves them along a
+    circle, and its column is the chord to the latitude that fits best, however far the stated one is off."""
+    latitude, rows = session.observations.site.latitude, session.linearised
     assert latitude is not None
-
-    def columns(earth: Array) -> tuple[Array, Array]:
-        changed = linearise(replace(session.problem, earth=np.array(earth)), rows.point, rows.about)
-        rest, turn = ((a - b)[..., None] / step for a, b in zip(rows.residuals, changed.residuals, strict=True))
-        return rest, turn
+    stated, step = session.problem.earth, 1e-4 * EARTH_RATE
+    components = list[tuple[Array, Array]]()  # of a rate northward and upward
+    for axis in np.eye(3)[:2]:
+        changed = linearise(replace(session.problem, earth=stated + step * axis), rows.point, rows.about)
+        rest, turn = (np.subtract(*each) / step for each in zip(rows.residuals, changed.residuals, strict=True))
+        components.append((rest, turn))
+    north_up = np.stack([each[0] for each in components], axis=2), np.stack([each[1] for each in components], axis=2)
+    latitudes = np.append(np.linspace(-0.5 * np.pi, 0.5 * np.pi, 1801), latitude + 1e-4)
+    changes = np.array([earth_rate(each) for each in latitudes.tolist()])[:, :2] - stated[:2]
+    chi_square = np.zeros(len(changes))
+    for each in projections(rows, VarianceComponents(), *north_up):
+        chi_square += ((each.residual - changes * each.length @ each.triangle.T) ** 2).sum(axis=1)
+    best = int(np.argmin(chi_square))
+    chord = changes[best] / (latitudes[best] - latitude)
+    rest, turn = (each @ chord for each in north_up)
 
     yield Candidate(
         name="latitude",
         concerns=(),
-        columns=columns(np.array(earth_rate(latitude + step))),
+        columns=(rest[..., None], turn[..., None]),
         unit=(DEGREE, "°"),
-        sentences=["a latitude that the gyros contradict by {size}: look at latitude_deg in [site], and its sign"],
+        sentences=[
+            "a latitude that the gyros contradict by {size}: look at latitude_deg in [site], and its sign; about "
+            f"{latitudes[best] / DEGREE:z.0f}° would fit"
+        ],
         largest_u=EARTH_RATE_U,
     )
     by_clock = {name: size for name, size in session.observations.by_clock.items() if name == group_name(name)}
@@ -399,7 +413,7 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Candidate]:
     yield Candidate(
         name="clock",
         concerns=(),
-        columns=columns((1.0 + step) * session.problem.earth),
+        columns=(north_up[0] @ stated[:2, None], north_up[1] @ stated[:2, None]),
         unit=(1e-2, "%"),
         sentences=[
             "a clock of the log that the Earth's rate contradicts by {size}: look at rate_hz, or the time column and "
