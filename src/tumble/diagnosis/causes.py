@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy
 
-from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, with_unit
+from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, Finding, with_unit
 from tumble.diagnosis.linearised_session import PATH_STEPS, SHORTEST_TURN, LinearisedSession
 from tumble.diagnosis.projection import FALSE_ALARMS, Projection, diagnostic_solution, projections
 from tumble.earth import EARTH_RATE, earth_rate
@@ -47,24 +47,6 @@ SHIFT_PLACES = 7
 COARSE_ROUNDING = 0.5  # error of the mean of a rest by rounding, in units of its noise, from which rounding is a cause
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Cause:
-    """A possible cause of the residuals of a session."""
-
-    name: str
-    concerns: tuple[SensorKind, ...]  # the kind of sensor; empty for both kinds
-    p_value: float = 0.0  # probability that chance alone explains the residuals as well
-    by_group: Mapping[str, float] = field(default_factory=dict)
-    """Largest error of a parameter, in its u, if the cause is left out, for each group of the linear model."""
-    sentence: str  # with size and remedy
-    rivals: tuple[str, ...] = ()  # names of causes that the session does not distinguish from it
-
-    @property
-    def damage(self) -> float:
-        """Largest error of any parameter, in its u."""
-        return max(self.by_group.values(), default=0.0)
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Candidate:
     """A possible cause with its effect on the rows of rests and turns."""
@@ -81,7 +63,7 @@ class Candidate:
     """By group, the change beside the effect on the rows, per unit of the size, and its standard uncertainty."""
 
 
-def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -> list[list[Cause]]:
+def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -> list[list[Finding]]:
     """Return for each session the causes that it determines, the most likely candidate of each name and kind of sensor.
 
     The p-value is multiplied by the number of places tried (Bonferroni)."""
@@ -106,7 +88,7 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
         places[c.name, c.concerns] += c.places
     causes_by_session = []
     for s, (by_noise, estimated, by_usual) in enumerate(zip(noise_only, with_scatter, usual_biases, strict=True)):
-        best = dict[tuple[str, tuple[str, ...]], tuple[Cause, IntArray, Projection]]()
+        best = dict[tuple[str, tuple[str, ...]], tuple[Finding, IntArray, Projection]]()
         for c, own_columns in zip(candidates, columns, strict=True):
             name, first, fit = (c.name, c.concerns), by_noise.fit(own_columns, c.largest_u), estimated.fit(own_columns)
             if first is None or fit is None:
@@ -126,8 +108,8 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
                 variance[groups[group]] += u**2
             damage = np.abs(shift) / np.sqrt(variance)
             size = with_unit(float(np.abs(steady.values).max()), c.unit)
-            cause = Cause(
-                name=c.name,
+            cause = Finding(
+                causes=(c.name,),
                 concerns=c.concerns,
                 p_value=p_value,
                 by_group={group: float(damage[members].max()) for group, members in groups.items()},
@@ -138,15 +120,15 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
     return causes_by_session
 
 
-def _beside_the_likeliest(found: list[tuple[Cause, IntArray, Projection]]) -> list[Cause]:
+def _beside_the_likeliest(found: list[tuple[Finding, IntArray, Projection]]) -> list[Finding]:
     """Return the causes, the likeliest first if it is significant, with the p-values of the others beside it.
 
-    A cause is its rival if neither explains anything beside the other."""
+    A cause is named with it if neither explains anything beside the other."""
     causes = [cause for cause, *_ in found]
     if not causes or min(cause.p_value for cause in causes) > FALSE_ALARMS:
         return causes
     best, best_columns, projection = min(found, key=lambda each: each[0].p_value)
-    best_fit, others = projection.fit(best_columns), list[Cause]()
+    best_fit, others = projection.fit(best_columns), list[Finding]()
     assert best_fit is not None
     for cause, columns, _ in found:
         both, own_fit = projection.fit(np.concatenate([best_columns, columns])), projection.fit(columns)
@@ -161,7 +143,7 @@ def _beside_the_likeliest(found: list[tuple[Cause, IntArray, Projection]]) -> li
         if min(beside, reversed_) > FALSE_ALARMS:
             by_group = {name: max(size, cause.by_group[name]) for name, size in best.by_group.items()}
             sentence = f"{best.sentence}; or, indistinguishable in this session: {cause.sentence}"
-            best = replace(best, sentence=sentence, by_group=by_group, rivals=(*best.rivals, cause.name))
+            best = replace(best, sentence=sentence, by_group=by_group, causes=(*best.causes, cause.cause))
         others.append(replace(cause, p_value=max(cause.p_value, beside)))
     return [best, *others]
 
@@ -427,7 +409,7 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Candidate]:
 # ---- rounding, which needs no columns
 
 
-def quantisation(session: LinearisedSession, s: int) -> Iterator[Cause]:
+def quantisation(session: LinearisedSession, s: int) -> Iterator[Finding]:
     """Yield kinds of sensors of session s whose rounding errors are large beside the noise of the mean of a rest."""
     rests = session.problem.parts[s].rests
     for kind, _ in session.kinds:
@@ -441,8 +423,8 @@ def quantisation(session: LinearisedSession, s: int) -> Iterator[Cause]:
             worst = int(np.argmax(np.where(coarse, rounding.common_u, 0.0)))
             step, error = float(rounding.step[worst]), float(rounding.common_u[worst])
             scale, unit = BIAS_UNITS[kind]
-            yield Cause(
-                name="quantisation",
+            yield Finding(
+                causes=("quantisation",),
                 concerns=(kind,),
                 sentence=f"steps of the {SENSORS[kind]} of {two_digits(step / scale)} {unit}, which the noise, "
                 f"{two_digits(rounding.noise[worst] / step)} of a step, does not cover: the mean of a rest errs by up "
