@@ -84,7 +84,11 @@ def vertical_faults(observations: Observations, session: Session, rate: float, g
             "the data sheet (16.4, 32.8, 65.5, 131 …), or let `tumble new` find them from the turns"
         ]
     miss = _missed_angles(observations, SensorModel(matrix=scale * stated.matrix, bias=stated.bias), vertical)
-    per_half_turn = miss / np.maximum(1.0, _turned_angles(observations, stated) / np.pi)
+    with np.errstate(invalid="ignore", over="ignore"):  # of implausible rates
+        moments = observations.turns_about(stated).M
+        rate = float(np.median(np.nan_to_num(np.sqrt((moments**2).sum(axis=(1, 2, 3)))) / turns.duration))
+    turned = turns.duration * (rate if rate < FASTEST_TURN else 0.0)  # approximate, with whole revolutions
+    per_half_turn = miss / np.maximum(1.0, turned / np.pi)
     if np.median(per_half_turn) < MEDIAN_MISS:
         return [
             f"the gyros lose the vertical in {observations.turn_named(int(k))}: they miss it by "
@@ -164,14 +168,6 @@ def _columns_of_other_scales(likelihoods: list[TurnLikelihood], channels: Channe
         )
         if abs(math.log(ratio)) > SMALL_SCALE_ERROR:
             yield free + likelihood.at(math.log(ratio)), text
-
-
-def _turned_angles(observations: Observations, gyro: SensorModel) -> Array:
-    """Return the approximate angle (K,), rad, of each turn with its whole revolutions; 0 for implausible rates."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        turns = observations.turns_about(gyro)
-        rate = float(np.median(np.nan_to_num(np.sqrt((turns.M**2).sum(axis=(1, 2, 3)))) / turns.duration))
-    return turns.duration * (rate if rate < FASTEST_TURN else 0.0)
 
 
 def _missed_angles(observations: Observations, gyro: SensorModel, vertical: Array) -> Array:

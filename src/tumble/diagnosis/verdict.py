@@ -74,7 +74,11 @@ def verdict(
         findings.append(six_faces(estimate, observations, missing))
     findings += [finding for finding in weak if not finding.refuses]
     findings += [*_not_fitting(estimate, observations), *_impossible_bias(estimate), *map(remark, estimate.remarks)]
-    findings += _residual_findings(estimate, missing, search)
+    without = {sensor_kind(name) for name in missing}
+    if estimate.converged and (not without or (estimate.gyro is not None and len(without) == 1)):
+        # of the other kind of sensors, if parameters of one kind are missing
+        of_residuals = misfit(estimate, search)
+        findings += (each for each in of_residuals if not without or (each.kinds and without.isdisjoint(each.kinds)))
     if estimate.integral is not None and is_poorly_sampled(estimate.integral):
         findings.append(
             remark("u is rough: the integral over scatter, in-run biases and sizes of groups has not settled")
@@ -140,16 +144,6 @@ def _excessive_scatter(estimate: Estimate, observations: Observations) -> Iterat
             f"for damaged or lost samples of the gyros, first in {worst}",
             "gyro",
         )
-
-
-def _residual_findings(estimate: Estimate, missing: tuple[str, ...], search: bool) -> Iterator[Finding]:
-    """Yield the findings from residuals; if parameters of one kind of sensor are missing, those of the other kind."""
-    without = {sensor_kind(name) for name in missing}
-    if not estimate.converged or (without and (estimate.gyro is None or len(without) > 1)):
-        return
-    for finding in misfit(estimate, search):
-        if not without or (finding.kinds and not without & {*finding.kinds}):
-            yield finding
 
 
 def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Finding]:

@@ -363,7 +363,12 @@ def estimate_observations(
             budget = None if budget is None else budget.with_source(source("clock", relative, "1"), clock_covariance)
             estimate = replace(estimate, covariance=estimate.covariance + clock_covariance, budget=budget)
         if linear_joint or estimate.method != "joint":
-            notes += linear_model.omitted_groups_note(estimate)
+            if estimate.groups:
+                notes += (
+                    f"the method {estimate.method}{' with linear terms' * linear_joint} takes errors other than bias, "
+                    "scale factor and axis angles as zero and includes their usual size in u; the method joint with "
+                    "all terms estimates them",
+                )
             estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
             estimate, prior_notes = with_prior(estimate, observations, prior, mean_temperature(observations))
