@@ -19,9 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from tumble.diagnosis.causes import Candidate
+from tumble.diagnosis.causes import SHORTEST_TURN, Candidate, LinearisedSession
 from tumble.diagnosis.findings import Finding
-from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
 from tumble.diagnosis.projection import SumOfSquares, approximate_drops, diagnostic_solution
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation

@@ -15,9 +15,14 @@ from operator import attrgetter
 
 import numpy as np
 
-from tumble.diagnosis.causes import candidates_of, earth_rate_errors, fit_candidates, quantisation
+from tumble.diagnosis.causes import (
+    LinearisedSession,
+    candidates_of,
+    earth_rate_errors,
+    fit_candidates,
+    quantisation,
+)
 from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, Finding, refusal, remark, with_unit
-from tumble.diagnosis.linearised_session import LinearisedSession
 from tumble.diagnosis.lost_samples import (
     TURN_GROUPS,
     jitter_hint,

@@ -17,11 +17,10 @@ import numpy as np
 from tumble import __version__
 from tumble.arguments import checked
 from tumble.diagnosis import linear_model
-from tumble.diagnosis.in_motion import improves, motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
 from tumble.diagnosis.undetermined import one_attitude
-from tumble.diagnosis.verdict import doubtful_time_base, unused_quiet_time
+from tumble.diagnosis.verdict import doubtful_time_base, improves, motion_note, unused_quiet_time
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome

@@ -14,8 +14,7 @@ from itertools import chain
 
 import numpy as np
 
-from tumble.diagnosis.in_motion import IN_MOTION
-from tumble.diagnosis.verdict import gravity_text
+from tumble.diagnosis.verdict import IN_MOTION, gravity_text
 from tumble.errors import IN_MEMORY, tables_at
 from tumble.files import FilePath
 from tumble.reduction.rests.warming import OVER_TEMPERATURE
