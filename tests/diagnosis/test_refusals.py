@@ -405,7 +405,7 @@ def test_a_gyro_of_another_scale_than_the_others_is_named_with_the_scale_that_fi
     """The turns tell the factor to a few per cent. As advised, the recording is accepted."""
     wrong = recording.times([column], factor)
     said = reason(wrong, tmp_path / "rates")
-    found = re.search(rf'column {column!r} reads about ([\d.]+) times what it should.* scale = \[(.*)\] in', said)
+    found = re.search(rf"column {column!r} reads about ([\d.]+) times what it should.* scale = \[(.*)\] in", said)
     assert found is not None, said
     assert float(found[1]) == pytest.approx(factor, rel=0.03)
     scale = [float(value) for value in found[2].split(", ")]

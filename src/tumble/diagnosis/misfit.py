@@ -293,8 +293,9 @@ def _session_findings(
     named = named[:MOST_CAUSES]
     harmful = [c for c in named if c.damage > LARGEST_DAMAGE and (c.p_value <= limit or c in first)]
     for cause in harmful:
-        groups = [group for group, damage in cause.by_group.items() if damage > ACCEPTED_DAMAGE]
-        groups.sort(key=lambda group, at_fault=cause.concerns: not group.startswith(at_fault))
+        moved = [group for group, damage in cause.by_group.items() if damage > ACCEPTED_DAMAGE]
+        groups = [group for group in moved if group.startswith(cause.concerns)]  # of the sensors at fault
+        groups += [group for group in moved if group not in groups]
         finite = np.isfinite(cause.damage)
         damage = f"up to {two_digits(cause.damage)} times their u" if finite else "more than their u, all alike"
         damage += ", if the most harmful of these is the cause" if len(cause.causes) > 1 else ""
