@@ -20,7 +20,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
 from tumble.result.further import decided_by_priors, group_lines, verdicts
-from tumble.result.parts import Parameter
+from tumble.result.parts import Parameter, SourceContributions
 from tumble.run.calibrate import calibrate
 from tumble.run.launches import LaunchRun, mean_of_launches
 from tumble.simulation.session import simulate_session
@@ -388,6 +388,26 @@ def test_remarks_are_in_the_order_of_their_harm(full: Calibration) -> None:
     made = with_fields(made, outcome=Outcome(remarks=("one", "two", "three")))
     lines = [line for line in lines_of(calibration_blocks(made)) if line.startswith("remark: ")]
     assert lines == ["remark: one", "remark: two", f"remark: {lost[0]}"]
+
+
+def test_what_is_not_stated_is_a_remark_only_where_it_is_most_of_u() -> None:
+    made = calibration()
+    height = "the height is not stated: gravity is that of sea level, which is in u of accel.scale; state height_m"
+    clock = "the uncertainty of the time base is not stated: 30 ppm are in u of gyro.scale; state clock_ppm_u"
+    for share in (0.2, 0.7):
+        parts = {p.name: np.sqrt(share) * (p.u or 0.0) for p in made.parameters if p.name.startswith("accel.scale")}
+        gravity = SourceContributions(name="gravity", words="gravity", type="B", contributions=parts)
+        made = with_fields(made, assumptions=(height, clock), budget=(gravity,))
+        text = "\n".join(line for line in text_of(calibration_blocks(made), 400).splitlines() if "stated" in line)
+        minor = "in u, of which it is the smaller part: "
+        time_base = "the uncertainty of the time base is not stated"
+        if share > 0.5:
+            assert text == f"{minor}{time_base}\nremark: {height}"
+        else:
+            assert text == f"{minor}the height is not stated; {time_base}"
+    every = text_of(calibration_blocks(made, every=True), 400)
+    assert f"remark: {height}" in every
+    assert f"remark: {clock}" in every
 
 
 def test_of_a_refused_session_no_numbers_are_printed_and_the_next_command_looks_at_it(full: Calibration) -> None:

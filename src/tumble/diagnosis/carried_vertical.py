@@ -17,6 +17,7 @@ from tumble.diagnosis.observability import rough_directions
 from tumble.diagnosis.turn_likelihood import (
     WIDTHS,
     TurnLikelihood,
+    column_likelihoods,
     columns_text,
     cost_of_free_scale,
     ends_tilted,
@@ -65,9 +66,12 @@ def vertical_faults(observations: Observations, session: Session, rate: float, g
         "the gyros do not carry the vertical from rest to rest: they miss it by "
         f"{miss.max() / DEGREE:.0f}° at worst and by {np.median(miss) / DEGREE:.0f}° at the median of {len(miss)} turns"
     )
-    likelihoods = turn_likelihoods(list(_tilting_turns(observations, stated.bias, vertical)))
-    duration = float(observations.rests.stop.max())
-    others = sorted(_hypotheses(likelihoods, channels, session.log, rate, duration), key=lambda other: other[0])
+    tilting = list(_tilting_turns(observations, stated.bias, vertical))
+    likelihoods, duration = turn_likelihoods(tilting), float(observations.rests.stop.max())
+    others = [*_hypotheses(likelihoods, channels, session.log, rate, duration)]
+    if likelihoods and block.triad:
+        others += _columns_of_other_scales(column_likelihoods(tilting, block.axes), channels)
+    others.sort(key=lambda other: other[0])
     scale, stated_cost = 1.0, math.inf
     if likelihoods:
         scale = likelihoods[0].found(0.0, SMALL_SCALE_ERROR)
@@ -80,7 +84,11 @@ def vertical_faults(observations: Observations, session: Session, rate: float, g
             "the data sheet (16.4, 32.8, 65.5, 131 …), or let `tumble new` find them from the turns"
         ]
     miss = _missed_angles(observations, SensorModel(matrix=scale * stated.matrix, bias=stated.bias), vertical)
-    per_half_turn = miss / np.maximum(1.0, _turned_angles(observations, stated) / np.pi)
+    with np.errstate(invalid="ignore", over="ignore"):  # of implausible rates
+        moments = observations.turns_about(stated).M
+        rate = float(np.median(np.nan_to_num(np.sqrt((moments**2).sum(axis=(1, 2, 3)))) / turns.duration))
+    turned = turns.duration * (rate if rate < FASTEST_TURN else 0.0)  # approximate, with whole revolutions
+    per_half_turn = miss / np.maximum(1.0, turned / np.pi)
     if np.median(per_half_turn) < MEDIAN_MISS:
         return [
             f"the gyros lose the vertical in {observations.turn_named(int(k))}: they miss it by "
@@ -144,12 +152,22 @@ def _hypotheses(
     yield wrong_unit + cost_of_free_scale(WIDTHS.scale) + likelihoods[0].at(math.log(ratio)), text
 
 
-def _turned_angles(observations: Observations, gyro: SensorModel) -> Array:
-    """Return the approximate angle (K,), rad, of each turn with its whole revolutions; 0 for implausible rates."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        turns = observations.turns_about(gyro)
-        rate = float(np.median(np.nan_to_num(np.sqrt((turns.M**2).sum(axis=(1, 2, 3)))) / turns.duration))
-    return turns.duration * (rate if rate < FASTEST_TURN else 0.0)
+def _columns_of_other_scales(likelihoods: list[TurnLikelihood], channels: Channels) -> Iterator[tuple[float, str]]:
+    """Yield, for each column of the gyros, another scale of this column alone, as cost and text."""
+    free = cost_of_free_scale(WIDTHS.scale) - 2.0 * math.log(WIDTHS.named_wrongly / len(likelihoods))
+    per = "" if channels.raw else f'unit = "count", scale_per = "{channels.unit_name}" and '
+    for column, (name, likelihood) in enumerate(zip(channels.columns, likelihoods, strict=True)):
+        ratio, scale = likelihood.found(), channels.scale.copy()
+        scale[column] *= ratio
+        remedy = f"{per}scale = [{', '.join(f'{value:.4g}' for value in scale)}] in [log.gyro] would fit"
+        if not channels.raw and channels.unit_name not in GyroTable.SCALE_PER:
+            remedy = "divide it by this"
+        text = (
+            f"; column {name!r} reads about {ratio:.3g} times what it should, as in another unit or range than the "
+            f"other columns: {remedy}"
+        )
+        if abs(math.log(ratio)) > SMALL_SCALE_ERROR:
+            yield free + likelihood.at(math.log(ratio)), text
 
 
 def _missed_angles(observations: Observations, gyro: SensorModel, vertical: Array) -> Array:

@@ -279,14 +279,3 @@ def linear_part(estimate: Estimate) -> Estimate:
         degrees=None if estimate.degrees is None else estimate.degrees[:m],
         budget=None if estimate.budget is None else estimate.budget.carried(np.eye(m, len(estimate.names))),
     )
-
-
-def omitted_groups_note(estimate: Estimate) -> tuple[str, ...]:
-    """Return a note that an estimate of the linear model has omitted groups in its u; none without such groups."""
-    if not estimate.groups:
-        return ()
-    method = f"method {estimate.method}" + (" with linear terms" if estimate.method == "joint" else "")
-    return (
-        f"the {method} takes errors other than bias, scale factor and axis angles as zero and includes their usual "
-        "size in u; the method joint with all terms estimates them",
-    )

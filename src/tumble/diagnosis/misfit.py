@@ -15,9 +15,14 @@ from operator import attrgetter
 
 import numpy as np
 
-from tumble.diagnosis.causes import Cause, candidates_of, earth_rate_errors, fit_candidates, quantisation
+from tumble.diagnosis.causes import (
+    LinearisedSession,
+    candidates_of,
+    earth_rate_errors,
+    fit_candidates,
+    quantisation,
+)
 from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, Finding, refusal, remark, with_unit
-from tumble.diagnosis.linearised_session import LinearisedSession
 from tumble.diagnosis.lost_samples import (
     TURN_GROUPS,
     jitter_hint,
@@ -133,7 +138,7 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     p_values = [
         {group: group.p_value(linearised, expected, part) for group in GROUPS} for part in linearised.problem.parts
     ]
-    causes = [list[Cause]() for _ in p_values]
+    causes = [list[Finding]() for _ in p_values]
     if search:
         causes = _causes(session)
     limit = holm_limit(
@@ -211,10 +216,10 @@ def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
         return None
     errors = list(earth_rate_errors(session))
     likely = fit_candidates(linearised, errors)[0]
-    if not likely or likely[0].name != "clock" or likely[0].p_value > FALSE_ALARMS:
+    if not likely or likely[0].cause != "clock" or likely[0].p_value > FALSE_ALARMS:
         return None
     first = _causes(session)[0][0]
-    if first.name != "clock" or first.rivals:
+    if first.causes != ("clock",):
         return None
     clock = next(error for error in errors if error.name == "clock")
     (projection,) = projections(linearised, VarianceComponents(), *clock.columns)
@@ -230,7 +235,7 @@ def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
     )
 
 
-def _causes(session: LinearisedSession) -> list[list[Cause]]:
+def _causes(session: LinearisedSession) -> list[list[Finding]]:
     """Return for each session its causes, one of each name and kind of sensor, the most significant first."""
     by_p_value, linearised = attrgetter("p_value"), session.linearised
     with_scatter = diagnostic_solution(linearised, linearised.components)
@@ -239,7 +244,7 @@ def _causes(session: LinearisedSession) -> list[list[Cause]]:
     turns_only = scatter_of_turns_only(linearised) if any(session.has_turns) else with_scatter
     for s, causes in enumerate(by_session):
         causes += quantisation(session, s)
-        lost = [cause for cause in causes if cause.name == "lost samples"]
+        lost = [cause for cause in causes if cause.cause == "lost samples"]
         held = samples_held(session.observed[s])
         if held is None and session.has_turns[s] and turns_only.components.turn > NEGLIGIBLE_SCATTER["turn"]:
             lost.append(lost_in_all_turns(session, s, turns_only))
@@ -253,7 +258,7 @@ def _session_findings(
     linearised: Linearisation,
     observations: Observations,
     p_values: Mapping[ResidualGroup, float],
-    causes: list[Cause],
+    causes: list[Finding],
     limit: float,
     usual: Mapping[str, float],
     reported: set[str],
@@ -270,24 +275,32 @@ def _session_findings(
     }
     ratios = {group.name: ratio for group, ratio in scattering.items()}
     # lost samples resemble other causes, and come first
-    first = [c for c in causes if c.name == "lost samples" and c.p_value < LOST_SAMPLES_P_VALUE and "turn" in ratios]
+    first = [c for c in causes if c.cause == "lost samples" and c.p_value < LOST_SAMPLES_P_VALUE and "turn" in ratios]
     named = first + [cause for cause in causes if cause.p_value <= limit and cause not in first]
     if scattering:  # further causes are named if they may explain it
         kinds = {group.concerns for group in scattering}
         likely = [c for c in causes if c not in named and (not c.concerns or c.concerns[0] in kinds)]
-        likely = [c for c in likely if c.name != "lost samples" or "turn" in ratios]  # rests are as they were
+        likely = [c for c in likely if c.cause != "lost samples" or "turn" in ratios]  # rests are as they were
         explained = any(cause.concerns != ("accel",) for cause in named)
         if ratios.get("turn", 0.0) > MOVEMENT_RATIO * ratios.get("gyro", 0.0) and not explained:
             # a cause by which turns scatter far more than gyros at rest is random; no systematic effect need fit it
             sentence = "a device that moved after it was put down, or before it was taken up: wait until it lies still"
-            named.append(Cause(name="movement", concerns=("gyro",), p_value=1.0, sentence=sentence))
+            named.append(Finding(causes=("movement",), concerns=("gyro",), p_value=1.0, sentence=sentence))
             sentence = "or samples that are missing or held in the log, which in these turns look like movement: "
             sentence += stamps_remedy(observations)
-            named += (replace(cause, sentence=sentence) for cause in likely if cause.name == "lost samples")
+            named += (replace(cause, sentence=sentence) for cause in likely if cause.cause == "lost samples")
         named += (cause for cause in likely if cause.p_value < CAUSE_P_VALUE)
     named = named[:MOST_CAUSES]
     harmful = [c for c in named if c.damage > LARGEST_DAMAGE and (c.p_value <= limit or c in first)]
-    yield from map(_harmful, harmful)
+    for cause in harmful:
+        moved = [group for group, damage in cause.by_group.items() if damage > ACCEPTED_DAMAGE]
+        groups = [group for group in moved if group.startswith(cause.concerns)]  # of the sensors at fault
+        groups += [group for group in moved if group not in groups]
+        finite = np.isfinite(cause.damage)
+        damage = f"up to {two_digits(cause.damage)} times their u" if finite else "more than their u, all alike"
+        damage += ", if the most harmful of these is the cause" if len(cause.causes) > 1 else ""
+        sentence = f"{cause.sentence}; without it parameters of {', '.join(groups)} err by {damage}"
+        yield replace(cause, sentence=sentence, concerns=tuple(groups), refuses=True)
     for group, ratio in scattering.items():
         sentence = _scatter_sentence(group, ratio, linearised)
         if group.name not in REST_SCATTER and group.exceeds_model(ratio, components) and not jitter_hint(observations):
@@ -296,9 +309,7 @@ def _session_findings(
             yield remark(sentence, group.concerns)
     for cause in named:
         if cause not in harmful:
-            sentence = f"probable cause: {cause.sentence}"
-            possible = cause.name, *cause.rivals
-            yield Finding(sentence=sentence, concerns=cause.concerns, causes=possible, unsteady=cause.name in CHANGES)
+            yield replace(cause, sentence=f"probable cause: {cause.sentence}", unsteady=cause.cause in CHANGES)
     yield from _erratic_biases(linearised)
 
 
@@ -321,17 +332,6 @@ def _erratic_biases(linearised: Linearisation) -> Iterator[Finding]:
                 "rests with `tumble inspect`",
                 *(kind, *(TURN_GROUPS if kind == "accel" else ())),
             )
-
-
-def _harmful(cause: Cause) -> Finding:
-    """Refuse the groups of parameters that a cause moves, those of the sensors at fault first."""
-    groups = [group for group, damage in cause.by_group.items() if damage > ACCEPTED_DAMAGE]
-    groups.sort(key=lambda group: not group.startswith(cause.concerns))
-    finite = np.isfinite(cause.damage)
-    damage = f"up to {two_digits(cause.damage)} times their u" if finite else "more than their u, all alike"
-    damage += ", if the most harmful of these is the cause" if cause.rivals else ""
-    sentence = f"{cause.sentence}; without it parameters of {', '.join(groups)} err by {damage}"
-    return Finding(sentence=sentence, concerns=tuple(groups), refuses=True, causes=(cause.name, *cause.rivals))
 
 
 def _scatter_sentence(group: ResidualGroup, ratio: float, linearised: Linearisation) -> str:
@@ -404,13 +404,6 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
     def is_unusual(size: HyperparameterEstimate | None) -> bool:
         return size is not None and size.low > UNUSUAL_RATIO * _usual_size(size, linearised)
 
-    def largest_drift(name: str) -> float:
-        """Return the largest change per second of a group of the instrument or of the sessions."""
-        if name in problem.instrument.members:
-            return float(np.abs(estimate.values[problem.instrument.members[name]]).max())
-        assert estimate.own is not None
-        return float(np.abs(estimate.own.values[:, problem.local_members[name]]).max())
-
     for block in problem.instrument.blocks:
         kind, words, unit = block.kind, SENSORS[block.kind], BIAS_UNITS[block.kind]
         for what, cause, parameters, drift_unit in (
@@ -419,7 +412,12 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
         ):
             name = f"{kind}.{what}.drift"
             if is_unusual(by_name.get(name)):
-                changed = with_unit(longest * largest_drift(name), drift_unit)
+                if name in problem.instrument.members:
+                    drifts = estimate.values[problem.instrument.members[name]]
+                else:  # of the sessions
+                    assert estimate.own is not None
+                    drifts = estimate.own.values[:, problem.local_members[name]]
+                changed = with_unit(longest * float(np.abs(drifts).max()), drift_unit)
                 sentence = (
                     f"{parameters} drift by {changed} over the session, the values given are means over its "
                     f"rests{IN_U}; let the device warm up, or make the session shorter"

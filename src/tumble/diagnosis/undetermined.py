@@ -45,13 +45,22 @@ def undetermined(estimate: Estimate, observations: Observations, missing: tuple[
         if one_vertical := one_attitude(observations):
             sentence = f"{one_vertical}; {sentence}"
         else:
-            too_few, helpful = _too_few(observations, missing), _most_helpful(estimate, observations, estimate.null)
-            sentence = _joined(too_few, sentence, helpful)
+            block, rests = observations.accel_block, len(observations.rests)
+            needed = len(linear_names(block.names)) if block.size == len("xyz") else 0
+            kinds = {sensor_kind(name) for name in missing}
+            too_few = f"{rests} rests of the {needed} needed" if "accel" in kinds and rests < needed else ""
+            turns = observations.turns_left_out if "gyro" in kinds else ()
+            left_out = "".join(turns[:1]) + (f" (and {len(turns) - 1} more)" if len(turns) > 1 else "")
+            helpful = _most_helpful(estimate, observations, estimate.null)
+            sentence = _joined(too_few, left_out, sentence, helpful)
         findings.append(refusal(sentence, *_groups_of(missing)))
     combinations, u, refused = _poorly_determined(estimate, observations, {sensor_kind(name) for name in missing})
     if len(u):
-        largest, described = [_largest_of(combination) for combination in combinations], list[str]()
-        for combination, parts, each_u in zip(combinations, largest, u, strict=True):
+        largest, described = list[list[int]](), list[str]()
+        for combination, each_u in zip(combinations, u, strict=True):
+            order = np.argsort(-np.abs(combination)).tolist()
+            parts = [i for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
+            largest.append(parts)
             sign = np.sign(combination[parts[0]])
             terms = " ".join(f"{'+' if sign * combination[i] > 0 else '−'} {estimate.names[i]}" for i in parts)
             described.append(f"{terms.removeprefix('+ ')} (known to {100.0 * each_u:.2g} % of its usual size)")
@@ -88,17 +97,6 @@ def one_attitude(observations: Observations) -> str:
         f"the device lay in one attitude ({counted}), which calibrates nothing: put it down in others too, 5 s in "
         "each (`tumble programme` lists them); `tumble noise` gives the noise of a recording at rest"
     )
-
-
-def _too_few(observations: Observations, missing: Sequence[str]) -> str:
-    """Return that there are fewer rests than parameters of an accelerometer triad, and which turns were left out."""
-    block, rests = observations.accel_block, len(observations.rests)
-    needed = len(linear_names(block.names)) if block.size == len("xyz") else 0
-    kinds = {sensor_kind(name) for name in missing}
-    too_few = f"{rests} rests of the {needed} needed" if "accel" in kinds and rests < needed else ""
-    turns = observations.turns_left_out if "gyro" in kinds else ()
-    more = f" (and {len(turns) - 1} more)" if len(turns) > 1 else ""
-    return _joined(too_few, f"{turns[0]}{more}" if turns else "")
 
 
 def _joined(*parts: str) -> str:
@@ -172,12 +170,6 @@ def uncertain_gravity(site: Site) -> Iterator[Finding]:
     )
 
 
-def _largest_of(combination: Array) -> list[int]:
-    """Return the parameters with the largest coefficients in a combination (m,), at most four, the largest first."""
-    order = np.argsort(-np.abs(combination))
-    return [int(i) for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
-
-
 def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array) -> str:
     """Return the rests or turns that would determine combinations `unseen` (q, m) of parameters, the most useful first.
 
@@ -198,7 +190,12 @@ def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array)
             for up in range(3)
             for axis in range(3)
         }
-        recorded, what, unseen = _rows_of_turns(observations), "turns", unseen[:, m:]
+        vertical = unit_vector(observations.accel_block.nominal().apply(observations.rests.accel))
+        turns, of_turns = observations.turns, list[Array]()
+        if turns is not None and len(turns):
+            paths = zip(rotation_vector(turns.C), vertical[turns.first], strict=True)
+            of_turns = [_turn_rows(observations, path, up) for path, up in paths]
+        recorded, what, unseen = np.array(of_turns), "turns", unseen[:, m:]
     most = np.max([np.linalg.norm(rows @ unseen.T, axis=0) for rows in further.values()], axis=0)
     in_noise = np.linalg.norm(recorded.reshape(-1, unseen.shape[1]) @ unseen.T, axis=0) >= most
     helpful, others = most_informative(unseen[~in_noise], further)
@@ -215,16 +212,6 @@ def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array)
             "device lie still, on something firm, for longer"
         )
     return "; ".join(parts)
-
-
-def _rows_of_turns(observations: Observations) -> Array:
-    """Return the sensitivities (K, 2, m) of the turns of a session to the parameters of nominal gyros."""
-    turns, block = observations.turns, observations.gyro_block
-    if turns is None or block is None or not len(turns):
-        return np.zeros((0, 2, 0 if block is None else len(block.names)))
-    vertical = unit_vector(observations.accel_block.nominal().apply(observations.rests.accel))
-    paths = rotation_vector(turns.C)
-    return np.array([_turn_rows(observations, path, vertical[k]) for path, k in zip(paths, turns.first, strict=True)])
 
 
 def _turn_rows(observations: Observations, path: Array, up: Array) -> Array:

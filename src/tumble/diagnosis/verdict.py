@@ -8,18 +8,18 @@ import numpy as np
 import scipy
 
 from tumble.diagnosis.findings import Finding, outcome_of, refusal, remark
-from tumble.diagnosis.in_motion import in_motion
-from tumble.diagnosis.misfit import misfit
+from tumble.diagnosis.misfit import misfit, unusual_groups
 from tumble.diagnosis.projection import FALSE_ALARMS
 from tumble.diagnosis.undetermined import faces_alone, linear_names, six_faces, uncertain_gravity, undetermined
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.inference.integral import is_poorly_sampled
+from tumble.inference.problem import LEVER_COLUMNS, SUPPORT_COLUMNS, SUPPORT_U
 from tumble.recording.session import Site
 from tumble.recording.session.document import UNKNOWN_HEIGHT_GRAVITY_U
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation
-from tumble.sensors.parameters import group_name, limits_of, sensor_kind
+from tumble.sensors.parameters import group_name, limits_of, sensor_kind, within_kind
 from tumble.units import DEGREE, G_STANDARD, two_digits
 
 REST_SCATTER_LIMIT = 1e-3 * G_STANDARD  # of readings at rest, for methods with one scatter that leave nothing out
@@ -32,6 +32,11 @@ DOUBTFUL_SIGMAS = 4.0  # of the difference between stated and normal gravity; hi
 IMPOSSIBLE_ANOMALY = 1100.0 * MILLIGAL
 """No anomaly on Earth reaches 1,000 mGal. imu_tk takes a value 1,091 mGal above normal gravity for its recording, on
 which published results rest."""
+
+IN_MOTION = "calibrated in motion"  # start of the note on a result from motion
+MOST_NAMED = 4
+LEAST_GAIN = 0.8  # ratio of u with motion to that without, geometric mean; two minutes in one place reach 0.05 to 0.5
+LARGEST_DISPLACEMENT = 0.3  # m: a larger one contradicts the model of a device that stays in one place
 
 
 def verdict(
@@ -59,7 +64,7 @@ def verdict(
     missing, site = linear_names(estimate.unobservable), observations.site
     of_gravity = (*(() if gravity_confirmed else _doubtful_gravity(site)), *uncertain_gravity(site))
     if observations.links is not None:
-        return outcome_of((*in_motion(estimate, observations, missing), *of_gravity), missing)
+        return outcome_of((*_of_motion(estimate, observations, missing), *of_gravity), missing)
     faces = faces_alone(estimate, missing)
     weak = [] if estimate.reasons or faces else undetermined(estimate, observations, missing)
     findings = [refusal(reason) for reason in estimate.reasons]
@@ -74,7 +79,11 @@ def verdict(
         findings.append(six_faces(estimate, observations, missing))
     findings += [finding for finding in weak if not finding.refuses]
     findings += [*_not_fitting(estimate, observations), *_impossible_bias(estimate), *map(remark, estimate.remarks)]
-    findings += _residual_findings(estimate, missing, search)
+    without = {sensor_kind(name) for name in missing}
+    if estimate.converged and (not without or (estimate.gyro is not None and len(without) == 1)):
+        # of the other kind of sensors, if parameters of one kind are missing
+        of_residuals = misfit(estimate, search)
+        findings += (each for each in of_residuals if not without or (each.kinds and without.isdisjoint(each.kinds)))
     if estimate.integral is not None and is_poorly_sampled(estimate.integral):
         findings.append(
             remark("u is rough: the integral over scatter, in-run biases and sizes of groups has not settled")
@@ -142,16 +151,6 @@ def _excessive_scatter(estimate: Estimate, observations: Observations) -> Iterat
         )
 
 
-def _residual_findings(estimate: Estimate, missing: tuple[str, ...], search: bool) -> Iterator[Finding]:
-    """Yield the findings from residuals; if parameters of one kind of sensor are missing, those of the other kind."""
-    without = {sensor_kind(name) for name in missing}
-    if not estimate.converged or (without and (estimate.gyro is None or len(without) > 1)):
-        return
-    for finding in misfit(estimate, search):
-        if not without or (finding.kinds and not without & {*finding.kinds}):
-            yield finding
-
-
 def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Finding]:
     """Yield rests and turns that do not fit, or were left out for it.
 
@@ -190,6 +189,74 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Fin
     for k in np.flatnonzero((estimate.turn_sigmas > FIT_SIGMAS) | turn) if len(estimate.turn_sigmas) else ():
         sentence = observations.turn_named(int(k)) + misses(estimate.turn_sigmas[k], bool(turn[k]))
         yield Finding(sentence=sentence, concerns=() if out is None else ("gyro",), refuses=out is None)
+
+
+# -------------------- motion --------------------
+
+
+def _of_motion(estimate: Estimate, observations: Observations, missing: tuple[str, ...]) -> Iterator[Finding]:
+    """Yield findings about an estimate from motion; `missing` are linear parameters that it does not determine.
+
+    Displacements that follow the attitude, as of a stand that gives way, are SUPPORT_COLUMNS unknowns b ~ N(0, s²) of
+    the estimate (docs/explanation/mathematics.md (40)). The variance of their posterior mean over instruments is at
+    most s², so Σ b²/s² is at most χ² with SUPPORT_COLUMNS degrees of freedom. If it is larger, the displacements exceed
+    the prior, and scale factors and axes contain them."""
+    links, linearised = observations.links, estimate.linearised
+    assert links is not None
+    n = len(observations.rests)
+    sentence = f"{n} rest{'s' * (n != 1)} and {float(links.duration.sum()):.0f} s of motion"
+    advice = (
+        "turn it for two minutes about a point that stays in place, a tripod head or a ball joint, through all "
+        "attitudes, or put it down in nine or more positions (`tumble programme` shows them)"
+    )
+    if not estimate.converged or linearised is None:
+        yield refusal(f"{sentence} do not fit the model; {advice}")
+        return
+    if missing:
+        named = ", ".join(missing[:MOST_NAMED]) + (" and others" if len(missing) > MOST_NAMED else "")
+        yield refusal(f"{sentence} do not determine {named} well enough; {advice}", *missing)
+    support, displacement = linearised.point.local[0, -SUPPORT_COLUMNS:], float(linearised.components.displacement)
+    if scipy.special.chdtrc(SUPPORT_COLUMNS, float((support**2).sum()) / SUPPORT_U**2) < FALSE_ALARMS:
+        yield refusal(
+            f"the device moved by {100.0 * float(np.abs(support).max()):.1f} cm and more with its attitude: what held "
+            "it gave way; hold it by something stiffer, or turn it in the hand without a rhythm"
+        )
+    elif displacement > LARGEST_DISPLACEMENT and not missing:
+        yield refusal(f"the device moved by {displacement:.1f} m in motion: keep it in one place")
+    yield from unusual_groups(estimate)
+
+
+def improves(moving: Estimate, at_rest: Estimate) -> bool:
+    """Return True if an estimate from motion is to be preferred to that from the rests and turns of its recording.
+
+    Motion adds that the device stays in one place. If it was laid by hand from face to face, the unknowns of its
+    support and the sizes of groups follow its way instead. Rests and turns do not depend on the place: if the device
+    stays there, the scale factors and angles that they determine differ by Δ ~ N(0, C_r − C_m), and Δᵀ C_r⁻¹ Δ is at
+    most χ² with as many degrees of freedom as there are values (Hausman 1978, Econometrica 46, 1251-1271). Biases are
+    means over other times. Where rests and turns determine all linear parameters, motion must also reduce u."""
+    linear = linear_names(at_rest.names)
+    n, is_bias = len(linear), np.array([within_kind(group_name(name)) == "bias" for name in linear], dtype=bool)
+    known = np.flatnonzero(at_rest.observable[:n] & ~is_bias)
+    change = moving.values[known] - at_rest.values[known]
+    square = float(change @ np.linalg.solve(at_rest.covariance[np.ix_(known, known)], change))
+    if len(known) and scipy.special.chdtrc(len(known), square) < FALSE_ALARMS:
+        return False
+    gain = float(np.exp(np.log(moving.u[:n] / at_rest.u[:n]).mean()))
+    complete = moving.converged and not linear_names(moving.unobservable)
+    return bool(linear_names(at_rest.unobservable)) or (complete and gain < LEAST_GAIN)
+
+
+def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
+    """Return a note on a result from motion, with the point about which the device turned; none for rests and turns."""
+    links, linearised = observations.links, estimate.linearised
+    if links is None or linearised is None:
+        return ()
+    n, lever = len(observations.rests), linearised.point.local[0, -LEVER_COLUMNS - SUPPORT_COLUMNS : -SUPPORT_COLUMNS]
+    place, size = ", ".join(f"{1e3 * x:.0f}" for x in lever), 1e3 * float(linearised.components.displacement)
+    return (
+        f"{IN_MOTION}, from {n} rest{'s' * (n != 1)} and {float(links.duration.sum()):.0f} s of it: "
+        f"the device turned, to within {size:.2g} mm, about a point from which its accelerometers are at ({place}) mm",
+    )
 
 
 # -------------------- recordings --------------------

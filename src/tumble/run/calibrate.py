@@ -17,11 +17,10 @@ import numpy as np
 from tumble import __version__
 from tumble.arguments import checked
 from tumble.diagnosis import linear_model
-from tumble.diagnosis.in_motion import improves, motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
 from tumble.diagnosis.undetermined import one_attitude
-from tumble.diagnosis.verdict import doubtful_time_base, unused_quiet_time
+from tumble.diagnosis.verdict import doubtful_time_base, improves, motion_note, unused_quiet_time
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
@@ -50,6 +49,10 @@ _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
+_HEIGHT, _DIGITS = "the height is not stated", "gravity is taken to its last digit"
+_TIME_BASE = "the uncertainty of the time base is not stated"
+UNSTATED: Mapping[str, str] = {_HEIGHT: "gravity", _DIGITS: "gravity", _TIME_BASE: "clock"}
+"""Beginning of the sentence on what is not stated and in u, with its source in the uncertainty budget."""
 CLOCK_CONTRADICTED = 3.0  # u of the time base; a larger error of the clock is a remark instead of a note
 
 
@@ -363,7 +366,12 @@ def estimate_observations(
             budget = None if budget is None else budget.with_source(source("clock", relative, "1"), clock_covariance)
             estimate = replace(estimate, covariance=estimate.covariance + clock_covariance, budget=budget)
         if linear_joint or estimate.method != "joint":
-            notes += linear_model.omitted_groups_note(estimate)
+            if estimate.groups:
+                notes += (
+                    f"the method {estimate.method}{' with linear terms' * linear_joint} takes errors other than bias, "
+                    "scale factor and axis angles as zero and includes their usual size in u; the method joint with "
+                    "all terms estimates them",
+                )
             estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
             estimate, prior_notes = with_prior(estimate, observations, prior, mean_temperature(observations))
@@ -389,18 +397,16 @@ def assumptions(session: Session) -> tuple[str, ...]:
     mm = f"{1e3 * site.gravity_u:.2g} mm/s²"
     if site.assumed == "height":
         sentences.append(
-            f"the height is not stated: gravity is that of sea level, with {mm} for heights of 1300 m in u of "
+            f"{_HEIGHT}: gravity is that of sea level, with {mm} for heights of 1300 m in u of "
             "accel.scale; state height_m in [site] (--height), or gravity"
         )
     elif site.assumed == "digits" and site.gravity_u:
-        sentences.append(
-            f"gravity is taken to its last digit, with {mm} in u of accel.scale; state gravity_u in [site]"
-        )
+        sentences.append(f"{_DIGITS}, with {mm} in u of accel.scale; state gravity_u in [site]")
     if log.clock_u is None and by_clock:
         clock = "time stamps of a crystal" if log.rate is None else "a sample rate without time stamps"
         size = f"{1e6 * log.time_base_u:.0f} ppm" if log.rate is None else f"{1e2 * log.time_base_u:.0f} %"
         sentences.append(
-            f"the uncertainty of the time base is not stated: {size}, usual for {clock}, is in u of "
+            f"{_TIME_BASE}: {size}, usual for {clock}, is in u of "
             f"{' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact"
         )
     return (*sentences, *(f"doubt: {doubt}" for doubt in log.doubts))

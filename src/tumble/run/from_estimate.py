@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -37,9 +36,6 @@ from tumble.sensors.frames import Frame
 from tumble.sensors.parameters import THERMAL, group_name, sensor_kind, variable_of
 from tumble.units import DEGREE, ZERO_CELSIUS, Array, IntArray
 
-if TYPE_CHECKING:
-    from tumble.run.case import CaseAlignment
-
 LAGS = {"accel.lag": "accelerometers", "gyro.lag": "gyros"}
 SIGNIFICANT_SLOPE = 3.0  # u, of a slope over temperature
 GAPS_SHOWN = 5
@@ -63,17 +59,23 @@ def build_calibration(
     blocks = {b.kind: b for b in (observations.accel_block, observations.gyro_block) if b is not None}
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
     priors, thermal_notes = prior_fields(estimate), tuple(temperature_notes(estimate, observations))
-    case = None
+    case_notes = tuple[str, ...]()
     if frame != "accelerometer":
         systematic = {}  # it is in the frame of the accelerometers
         if complete:
             from tumble.run.case import estimate_in
 
             estimate, case = estimate_in(frame, estimate, observations)
+            if case is not None:
+                u = ", ".join(f"{each:.2g}°" for each in np.sqrt(np.diag(case.alignment.covariance)) / DEGREE)
+                case_notes = (
+                    f"case: from {case.placements} rests on its six faces, which scatter by "
+                    f"{case.scatter / DEGREE:.2g}° an axis; standard uncertainty of its alignment {u} about X, Y, Z; "
+                    "the tilt of the plate is part of the scatter",
+                )
     determined = np.flatnonzero(estimate.observable)
     faces = faces_alone(estimate, outcome.unobservable)
     missing = set() if faces else {sensor_kind(name) for name in outcome.unobservable}
-    thermometers = None if observations.rests.temperatures is None else session.log.temperature
     return Calibration(
         device=device_of(session),
         method=estimate.method,
@@ -86,11 +88,7 @@ def build_calibration(
         groups=estimate.groups,
         prediction=estimate.prediction,
         axes={kind: tuple(map(tuple, block.axes.tolist())) for kind, block in blocks.items()},
-        temperature=CalibratedTemperature(
-            reference=mean_temperature(observations),
-            thermometers={} if thermometers is None else {kind: thermometers.names(kind) for kind in blocks},
-            references=sensor_temperatures(observations),
-        ),
+        temperature=calibrated_temperature(session, observations),
         evidence=Evidence(
             rests=rests,
             turns=turns,
@@ -112,7 +110,7 @@ def build_calibration(
                 *observations.notes,
                 *_fit_notes(estimate, observations),
                 *thermal_notes,
-                *([] if case is None else [_case_note(case)]),
+                *case_notes,
             ),
             absent=(f"{', '.join(outcome.unobservable)}: not determined by six faces, taken as 0",) if faces else (),
         ),
@@ -195,6 +193,16 @@ def sensor_temperatures(observations: Observations) -> dict[str, tuple[float, ..
         return {}
     celsius = kelvin.mean(axis=0) - ZERO_CELSIUS
     return {block.kind: tuple(celsius[block.thermometer].tolist()) for block in blocks if block is not None}
+
+
+def calibrated_temperature(session: Session, observations: Observations) -> CalibratedTemperature:
+    """Return the temperatures of a calibration, with the columns of its thermometers."""
+    columns, by_kind = session.log.temperature, sensor_temperatures(observations)
+    return CalibratedTemperature(
+        reference=mean_temperature(observations),
+        thermometers={} if columns is None else {kind: columns.names(kind) for kind in by_kind},
+        references=by_kind,
+    )
 
 
 def readings_of_session(session: Session) -> dict[str, Readings]:
@@ -343,15 +351,6 @@ def _fit_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
             f"all turns have about {rates.mean() / DEGREE:.2g} °/s: the scale factors of the gyros hold at this rate; "
             "for others turn at a second rate too, or state gyro_cubic in [device.prior]"
         )
-
-
-def _case_note(case: CaseAlignment) -> str:
-    u = np.sqrt(np.diag(case.alignment.covariance)) / DEGREE
-    return (
-        f"case: from {case.placements} rests on its six faces, which scatter by {case.scatter / DEGREE:.2g}° an axis; "
-        f"standard uncertainty of its alignment {u[0]:.2g}°, {u[1]:.2g}°, {u[2]:.2g}° about X, Y, Z; the tilt of the "
-        "plate is part of the scatter"
-    )
 
 
 def temperature_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:

@@ -300,16 +300,20 @@ def _differing_launches(
     For a parameter of the linear model s²/(s_g² + n²) has an F distribution, with the usual s_g from power-on to
     power-on of the grade and the u of a launch, n. The least probability is multiplied by the number of parameters."""
     launches = [run.calibration for run in runs]
-    white = {kind: _median_noise(launches, kind) for kind in ("accel", "gyro")}
-    grade = runs[0].session.device.grade
-    if grade is None and white["accel"] is not None:
-        grade, _ = guessed_grade(white["accel"], white["gyro"])
+    white, grade = dict[str, float](), runs[0].session.device.grade
+    for kind in ("accel", "gyro"):  # median noise density at rest, SI/√Hz
+        at_rest = [getattr(rest, kind) for each in launches for rest in each.evidence.rests]
+        if noise := [each.noise for each in at_rest if each is not None]:
+            white[kind] = float(np.median(noise))
+    if grade is None and "accel" in white:
+        grade, _ = guessed_grade(white["accel"], white.get("gyro"))
     if grade is None:
         return
     tested = list[tuple[float, float, Parameter]]()
     for p, u_squared in zip(parameters, np.diagonal(covariances, axis1=1, axis2=2).mean(axis=0).tolist(), strict=True):
         kind = sensor_kind(p.name)
-        if beyond_linear(p.name) or kind not in white or not all(each.outcome.of(kind) for each in launches):
+        usable = kind in ("accel", "gyro") and all(each.outcome.of(kind) for each in launches)
+        if beyond_linear(p.name) or not usable:
             continue
         usual = spread_of(TURN_ON[grade], p.name) ** 2
         fewest = min((dof for each in launches if (dof := each[p.name].dof) is not None), default=None)
@@ -329,13 +333,6 @@ def _differing_launches(
             "the device was changed or much warmer in between; calibrate each launch alone"
         )
         yield Finding(sentence=sentence, unsteady=chance < UNSTEADY_CHANCE)
-
-
-def _median_noise(launches: Sequence[Calibration], kind: str) -> float | None:
-    """Return the median noise density at rest of a kind of sensors, SI/√Hz; None without rests."""
-    at_rest = (getattr(rest, kind) for each in launches for rest in each.evidence.rests)
-    noise = [each.noise for each in at_rest if each is not None]
-    return float(np.median(noise)) if noise else None
 
 
 def _mean_budget(

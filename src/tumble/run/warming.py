@@ -54,7 +54,6 @@ from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import degrees_through, welch_satterthwaite
 from tumble.result.parts import (
-    CalibratedTemperature,
     Evidence,
     Parameter,
     Provenance,
@@ -65,11 +64,10 @@ from tumble.result.record import to_references
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.from_estimate import (
     LAGS,
+    calibrated_temperature,
     check_sensors,
-    mean_temperature,
     refused_calibration,
     rest_results,
-    sensor_temperatures,
 )
 from tumble.run.observed import Observed, observations_in_parts
 from tumble.sensors.model import Block, SensorModel
@@ -244,7 +242,7 @@ def _nominal(session: Session, estimate: Estimate, observations: Observations) -
         accel=models["accel"],
         gyro=models.get("gyro"),
         axes={block.kind: tuple(map(tuple, block.axes.tolist())) for block in blocks},
-        temperature=_temperature(session, observations),
+        temperature=calibrated_temperature(session, observations),
         evidence=Evidence(
             fits=estimate.fits,
             hyperparameters=estimate.hyperparameters,
@@ -266,10 +264,9 @@ def _with_coefficients(
     kept = [i for i, p in enumerate(base.parameters) if group_name(p.name) not in replaced]
     kept_names, has_reference = [base.parameters[i].name for i in kept], base.reference_temperature is not None
     names, first = [*kept_names, *new], len(kept)
-    move = np.eye(len(estimate.names))
+    move, here = np.eye(len(estimate.names)), calibrated_temperature(session, observations)
     if has_reference:  # convert from the references of this recording
-        here = replace(base, temperature=_temperature(session, observations))
-        move = to_references(here, estimate.names, base.temperature)
+        move = to_references(replace(base, temperature=here), estimate.names, base.temperature)
     move = move[[estimate.names.index(name) for name in new]]
     budget = estimate.budget.carried(move)
     estimated = move @ estimate.covariance @ move.T
@@ -344,7 +341,7 @@ def _with_coefficients(
             *(group for group in base.groups if group.name not in replaced),
             *(replace(group, kept=True) for group in estimate.groups if group.name in replaced),
         ),
-        temperature=replace(base.temperature, range=None) if has_reference else _temperature(session, observations),
+        temperature=replace(base.temperature, range=None) if has_reference else here,
         evidence=replace(base.evidence, rests=(*base.evidence.rests, *rests), budget=tuple(lines.values())),
     )
 
@@ -364,16 +361,6 @@ def _lag_degrees(estimate: Estimate, kind: str) -> float | None:
     total = sum(variances.get(f"{kind}.{name}", 0.0) for name in ("noise", "scatter", "in_run"))
     share, r = variances.get(f"{kind}.in_run", 0.0) / max(total, 1e-300), 0.5 * np.log(sizes[0].high / sizes[0].low)
     return max(0.5 / max(float(share * r), 1e-6) ** 2, FEWEST_DEGREES)
-
-
-def _temperature(session: Session, observations: Observations) -> CalibratedTemperature:
-    channels = session.log.temperature
-    assert channels is not None
-    return CalibratedTemperature(
-        reference=mean_temperature(observations),
-        thermometers={block.kind: channels.names(block.kind) for block in _blocks(observations)},
-        references=sensor_temperatures(observations),
-    )
 
 
 def _kelvin(observations: Observations) -> Array:

@@ -14,8 +14,7 @@ from itertools import chain
 
 import numpy as np
 
-from tumble.diagnosis.in_motion import IN_MOTION
-from tumble.diagnosis.verdict import gravity_text
+from tumble.diagnosis.verdict import IN_MOTION, gravity_text
 from tumble.errors import IN_MEMORY, tables_at
 from tumble.files import FilePath
 from tumble.reduction.rests.warming import OVER_TEMPERATURE
@@ -35,7 +34,7 @@ from tumble.result.further import (
 )
 from tumble.result.parts import Parameter
 from tumble.result.unaided import improvement
-from tumble.run.calibrate import ITERATED_METHODS
+from tumble.run.calibrate import ITERATED_METHODS, UNSTATED
 from tumble.sensors.parameters import group_name, within_group
 from tumble.units import Array, engineering
 from tumble.views.blocks import Block, Items, Table, table
@@ -177,6 +176,8 @@ def calibration_blocks(
             f"{other.method} differs from {calibration.method} by {_largest_change(calibration, changes, other)}"
         )
     lines += notes_without_expanded(parameters)
+    if minor := _minor_assumptions(calibration):
+        lines.append(f"in u, of which it is the smaller part: {'; '.join(minor)}")
     if accepted_kinds(calibration):
         to = "px4 -o imu.params (ardupilot, " if calibration.imu else "json -o imu.json ("
         following = f"next: tumble export {shlex.quote(str(file))} --to {to}others: --help)"
@@ -204,11 +205,27 @@ def remarks_of(calibration: Calibration) -> tuple[str, ...]:
     return (*origin.doubts, *calibration.outcome.remarks, *others, *([decided] if decided is not None else []))
 
 
+def _minor_assumptions(calibration: Calibration) -> list[str]:
+    """Return what is not stated, in short, where stating it would reduce no u by more than 1 − 1/√2.
+
+    Its source then contributes at most half of u² of every parameter, and nothing needs to be done."""
+    if not calibration.evidence.budget or not accepted_kinds(calibration):
+        return []
+    minor, contributions = list[str](), {line.name: line.contributions for line in calibration.evidence.budget}
+    for beginning, source in UNSTATED.items():
+        parts = contributions.get(source, {})
+        if all(2.0 * parts.get(p.name, 0.0) ** 2 <= (p.u or 0.0) ** 2 for p in calibration.parameters):
+            minor += [beginning for each in calibration.provenance.assumptions if each.startswith(beginning)]
+    return minor
+
+
 def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
     """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, and a line on the others.
 
     Turns that were left out are in u, so they come after doubts and unexplained residuals and before assumptions."""
-    notes, shown, remarks = calibration.provenance.notes, list[str](), [*remarks_of(calibration)]
+    minor = tuple(_minor_assumptions(calibration))
+    remarks = [each for each in remarks_of(calibration) if not minor or not each.startswith(minor)]
+    notes, shown = calibration.provenance.notes, list[str]()
     if lost := [note for note in notes if note.startswith("turn ") and " is left out" in note]:
         place = len(calibration.provenance.doubts) + len(calibration.outcome.remarks)
         more = f" (and {len(lost) - 1} more)" if len(lost) > 1 else ""
