@@ -186,11 +186,6 @@ def rest_summary(recorded: Evidence | Launch) -> str:
     return f"{sentence}; {len(turns)} turns, the worst {max(turn.sigmas for turn in turns):z.1f} sigma from the fit"
 
 
-def has_redundancy(fit: Fit) -> bool:
-    """Return True if there are more data than unknowns."""
-    return fit.degrees >= 0.5
-
-
 def has_other_factors(parameters: Sequence[Parameter]) -> bool:
     """Return True if the coverage factor of any parameter is not 2."""
     return any(p.k is None or abs(p.k - 2.0) > OTHER_THAN_TWO for p in parameters if p.u)

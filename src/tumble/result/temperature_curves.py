@@ -22,22 +22,6 @@ from tumble.units import Array
 _LEAST_SPAN = 0.05  # K, least span of temperatures of rests that determines coefficients
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Range:
-    """Lowest and highest temperature of a rest, °C."""
-
-    low: float
-    high: float
-
-    def temperatures(self, count: int = 201) -> Array:
-        """Return temperatures (count,), °C, equally spaced from end to end."""
-        return np.linspace(self.low, self.high, count)
-
-    def __str__(self) -> str:
-        """Return both ends to a tenth of a degree."""
-        return f"{self.low:.1f} to {self.high:.1f} °C"
-
-
 def rests_with_temperature(calibration: CalibrationData) -> list[RestResult]:
     """Return the rests of all launches that have a temperature."""
     rests = chain(calibration.evidence.rests, *(launch.rests for launch in calibration.evidence.launches))
@@ -64,12 +48,10 @@ def thermometer_notes(calibration: CalibrationData) -> list[str]:
     return [sentence]
 
 
-def measured_range(calibration: CalibrationData) -> Range | None:
-    """Return the range of temperatures of the rests of all launches; None without temperatures or a range."""
+def measured_range(calibration: CalibrationData) -> tuple[float, float] | None:
+    """Return the lowest and highest temperature, °C, of the rests of all launches; None without them or a range."""
     span = calibration.temperature_range
-    if span is None or span[1] - span[0] < _LEAST_SPAN:
-        return None
-    return Range(low=span[0], high=span[1])
+    return None if span is None or span[1] - span[0] < _LEAST_SPAN else span
 
 
 def thermal_parameters(calibration: CalibrationData) -> tuple[str, ...]:

@@ -136,7 +136,15 @@ class FieldCheck(Judged):
     def reasons(self) -> tuple[str, ...]:
         """Sentences on what has changed; empty if the check shows no change."""
         if self.misfit is None:
-            return _rests_beyond(self.rests, self.rest_limit)
+            limit = np.inf if self.rest_limit is None else self.rest_limit
+            judged = [(rest, abs(rest.sigmas)) for rest in self.rests if rest.sigmas is not None]
+            size, unit = engineering("m/s^2", max((abs(rest.difference) for rest, _ in judged), default=0.0))
+            return tuple(
+                f"{rest.label}: g − |f| is {rest.difference / size:+.3g} {unit}, {sigmas:.1f} of its standard "
+                f"uncertainty, expected at most {limit:.1f}"
+                for rest, sigmas in judged
+                if sigmas > limit
+            )
         if self.explained:
             return tuple(change_text(change) for change in self.changes)
         agree = "its rests alone agree with the calibration: its turns, or gyros that drift between rests, do not; "
@@ -163,19 +171,6 @@ def change_text(change: ChangedParameter) -> str:
         size, unit = shown_in(name, group_of(name).unit, value)
         text += f", or {name} by {value / size:+.3g} {unit}"
     return text + f"; by chance with probability {change.probability:.1g} at most"
-
-
-def _rests_beyond(rests: Sequence[CheckedRest], limit: float | None) -> tuple[str, ...]:
-    """Return sentences on the rests whose difference from gravity is beyond the limit."""
-    if limit is None:
-        return ()
-    size, unit = engineering("m/s^2", max((abs(rest.difference) for rest in rests if rest.sigmas), default=0.0))
-    return tuple(
-        f"{rest.label}: g − |f| is {rest.difference / size:+.3g} {unit}, {abs(rest.sigmas):.1f} of its standard "
-        f"uncertainty, expected at most {limit:.1f}"
-        for rest in rests
-        if rest.sigmas is not None and abs(rest.sigmas) > limit
-    )
 
 
 @checked

@@ -76,7 +76,11 @@ class StreamCheck:
         self.session, self.rate = session, sample_rate
         self.rests, self.moved = list[CheckedRest](), tuple[MovedBias, ...]()
         self._gyro = None if accepted.gyro is None else session.gyro_block
-        self._white, self._ranges = _white_noise(accepted), Ranges.of(accepted)
+        self._ranges, self._white = Ranges.of(accepted), dict[str, Array]()  # densities (n,) of noise, SI/√Hz
+        for kind in ("accel", "gyro"):
+            sensors = (getattr(rest, kind) for rest in accepted.evidence.all_rests)
+            if noise := [each.noise for each in sensors if each is not None]:
+                self._white[kind] = np.sqrt(np.mean(np.square(noise), axis=0))
         thermometers = 1 if session.log.temperature is None else len(session.log.temperature.columns)
         self._stream = Stream(
             self.calibration.compensator,
@@ -210,15 +214,6 @@ class StreamCheck:
             **parameter_test_fields(self._chain.result(self.moved)),
             notes=(*self.calibration.provenance.absent, note),
         )
-
-
-def _white_noise(calibration: Calibration) -> dict[str, Array]:
-    """Return the white noise density (n,) of "accel" and "gyro" in the rests of a calibration, SI/√Hz."""
-    by_kind = {
-        kind: [sensors.noise for rest in calibration.evidence.all_rests if (sensors := getattr(rest, kind)) is not None]
-        for kind in ("accel", "gyro")
-    }
-    return {kind: np.sqrt(np.mean(np.square(noise), axis=0)) for kind, noise in by_kind.items() if noise}
 
 
 @checked

@@ -11,13 +11,16 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 
 from tumble.diagnosis.in_motion import IN_MOTION
 from tumble.diagnosis.verdict import gravity_text
 from tumble.errors import IN_MEMORY, tables_at
+from tumble.export import target
 from tumble.files import FilePath
+from tumble.recording.formats import format_of
 from tumble.reduction.rests.warming import OVER_TEMPERATURE
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
@@ -84,6 +87,7 @@ def calibration_blocks(
     budget: bool = False,
     file: FilePath = "calibration.json",
     session: FilePath = "SESSION",
+    log: FilePath = "",
 ) -> list[Block]:
     """Return the output of `tumble calibrate`: verdict, improvement, parameters, remarks, and the next command.
 
@@ -101,8 +105,8 @@ def calibration_blocks(
         launches, iterations and other methods, and at most MAX_REMARKS remarks, on MAX_LINES lines.
     budget
         Show the uncertainty budget.
-    file, session
-        File of the calibration, and its session.
+    file, session, log
+        File of the calibration, its session, and the log that the session was made of.
     """
     parameters, evidence = calibration.parameters, calibration.evidence
     if not every:
@@ -178,8 +182,9 @@ def calibration_blocks(
         )
     lines += notes_without_expanded(parameters)
     if accepted_kinds(calibration):
-        to = "px4 -o imu.params (ardupilot, " if calibration.imu else "json -o imu.json ("
-        following = f"next: tumble export {shlex.quote(str(file))} --to {to}others: --help)"
+        name, others_of_kind = _export_target(calibration, log)
+        to = f"{name} -o imu{target(name).ending} ({others_of_kind}others: --help)"
+        following = f"next: tumble export {shlex.quote(str(file))} --to {to}"
     else:
         there = "the rests and turns that were found" if evidence.rests else "what was found in the recording"
         following = f"next: tumble inspect {shlex.quote(str(session))} ({there})"
@@ -190,6 +195,22 @@ def calibration_blocks(
 
 
 MAX_LINES, WIDTH, MAX_REMARKS = 24, 100, 3  # lines, characters of a line, remarks without --all
+
+
+_TARGETS = {"ardupilot": "ardupilot", "ulog": "px4", "ros": "kalibr"}  # by the format of a recording
+_TARGETS_BY_COLUMN = {"accSmooth[0]": "betaflight", "accelerometer_m_s2[0]": "px4"}  # of decoded logs
+
+
+def _export_target(calibration: Calibration, log: FilePath) -> tuple[str, str]:
+    """Return the export target of the format of a log, "json" for any other log, and words on a second target."""
+    readings = calibration.provenance.readings.get("accel")
+    names = (_TARGETS_BY_COLUMN.get(column) for column in (() if readings is None else readings.columns))
+    name = _TARGETS.get(format_of(Path(log)) or "") or next(filter(None, names), None)
+    if name is None and calibration.imu:  # the recording of an autopilot, converted before
+        return "px4", "ardupilot, "
+    if name == "kalibr" and len(accepted_kinds(calibration)) < 2:
+        return "ros-imu-calib", ""
+    return name or "json", ""
 
 
 def remarks_of(calibration: Calibration) -> tuple[str, ...]:

@@ -107,7 +107,8 @@ def write_document(document: Document, out: FilePath) -> None:
 def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequence[Section]] = ()) -> Document:
     """Return the report of calibrations of one device, with further sections after the result of each.
 
-    Raises InputError for calibrations of several devices."""
+    Calibrations by one method are named by a number and the date of the recording too. Raises InputError for
+    calibrations of several devices."""
     calibrations, first, several = [source.calibration for source in sources], sources[0].calibration, len(sources) > 1
     for source in sources[1:]:
         if source.calibration.serial != first.serial:
@@ -115,8 +116,10 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
                 f"{source.file}: expected a calibration of device {first.serial!r} like {sources[0].file}, "
                 f"found {source.calibration.serial!r}; make a report for each device"
             )
-    titles = _titles(calibrations)
-    parts = []
+    titles, parts = [calibration.method for calibration in calibrations], []
+    if len(set(titles)) < len(titles):
+        dates = [(calibration.provenance.circumstances.date or "")[:10] for calibration in calibrations]
+        titles = [f"{i}: {name} {day}".rstrip() for i, (name, day) in enumerate(zip(titles, dates, strict=True), 1)]
     for i, (source, title) in enumerate(zip(sources, titles, strict=True)):
         inserted = further_sections[i] if further_sections else ()
         sections = tuple(each for each in _sections(source, inserted, f"c{i + 1}") if each is not None)
@@ -132,15 +135,6 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
         parts=tuple(parts),
         closing="End of the report",
     )
-
-
-def _titles(calibrations: Sequence[Calibration]) -> list[str]:
-    """Name calibrations by their methods, and if these are equal also by a number and the date of the recording."""
-    titles = [calibration.method for calibration in calibrations]
-    if len(set(titles)) == len(titles):
-        return titles
-    dates = [(calibration.provenance.circumstances.date or "")[:10] for calibration in calibrations]
-    return [f"{i}: {name} {day}".rstrip() for i, (name, day) in enumerate(zip(titles, dates, strict=True), 1)]
 
 
 def verdict_on(calibrations: Sequence[Calibration]) -> tuple[str, Tone]:
