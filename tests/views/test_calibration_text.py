@@ -20,7 +20,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.session import AutopilotSensor
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.further import decided_by_priors, group_lines, verdicts
+from tumble.result.further import decided_by_priors, verdicts
 from tumble.result.parts import Parameter
 from tumble.run.calibrate import calibrate
 from tumble.run.launches import LaunchRun, mean_of_launches
@@ -31,6 +31,7 @@ from tumble.views.calibration import (
     MEANING_OF_INCREMENTS,
     calibration_blocks,
     difference_percent,
+    group_table,
     iteration_table,
     launch_table,
     method_table,
@@ -240,7 +241,7 @@ def test_a_line_for_each_further_group(full: Calibration) -> None:
     factor, expanded = map(float, of_parameters["accel.delay"][2:4])
     assert factor == pytest.approx(full["accel.delay"].k, abs=0.006)
     assert expanded == pytest.approx(factor * 0.05, abs=0.006)
-    assert [line.name for line in group_lines(full)] == [group.name for group in full.groups]
+    assert [row[0] for row in group_table(full).rows] == [group.name for group in full.groups]
 
 
 def test_the_tables_fit_a_terminal_of_100_columns(full: Calibration) -> None:

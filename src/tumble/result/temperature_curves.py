@@ -63,15 +63,13 @@ def thermal_parameters(calibration: CalibrationData) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Curve:
-    """Values (N,) of a parameter over temperatures (N,), °C, with expanded uncertainty U (N,) and its degrees of
-    freedom (N,). U is None without a covariance, or if the degrees of freedom are too few anywhere."""
+    """Values (N,) of a parameter over temperatures, with expanded uncertainty U (N,), None without a covariance or
+    where the degrees of freedom are too few anywhere."""
 
     name: str
     unit: str
-    temperature: Array
     value: Array
     expanded: Array | None
-    degrees: Array | None = None
 
 
 def temperature_curve(calibration: CalibrationData, name: str, temperature: Array) -> Curve:
@@ -82,7 +80,7 @@ def temperature_curve(calibration: CalibrationData, name: str, temperature: Arra
     warmer = temperature - reference_of_parameter(calibration, name)
     P = np.stack([warmer**d for d, _ in terms], axis=1)
     members = [i for _, i in terms]
-    parameters, expanded, degrees = [calibration.parameters[i] for i in members], None, None
+    parameters, expanded = [calibration.parameters[i] for i in members], None
     if calibration.covariance is not None:
         # Welch–Satterthwaite (JCGM 100:2008, G.4.1), but at least the fewest degrees of freedom of a parameter, as for
         # independent parameters: it fails for anticorrelated ones, whose sum is known better than each of them. U is
@@ -104,8 +102,6 @@ def temperature_curve(calibration: CalibrationData, name: str, temperature: Arra
     return Curve(
         name=name,
         unit=units_of([name])[0],
-        temperature=temperature,
         value=P @ np.array([p.value for p in parameters]),
         expanded=expanded,
-        degrees=degrees,
     )

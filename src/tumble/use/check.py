@@ -221,7 +221,8 @@ def check_calibration(
         labels = [f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)]
         return _gravity_check(str(readings), position_residuals(accepted, rows, table.sha256), label=labels)
     session = session_from(readings)
-    check_session(accepted, session)
+    check_device(accepted, session)
+    check_sensors(accepted, session)
     observed = inspect_session(replace(session, programme=None))
     observations = observations_for_calibration(observed)
     if isinstance(observations, Outcome):
@@ -302,12 +303,6 @@ def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
     if accepted.covariance is None:
         raise CalibrationError(f"calibration of {accepted.serial!r}: expected one with uncertainties, found none")
     return accepted
-
-
-def check_session(calibration: Calibration, session: Session) -> None:
-    """Raise InputError for a session of another device than the calibration's, or of other sensors."""
-    check_device(calibration, session)
-    check_sensors(calibration, session)
 
 
 def _launches(calibration: Calibration, further: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:

@@ -29,7 +29,7 @@ from tumble.result.further import (
     accepted_groups,
     by_group,
     decided_by_priors,
-    group_lines,
+    further_parameters,
     has_other_factors,
     linear_parameters,
     prediction_text,
@@ -39,7 +39,7 @@ from tumble.result.further import (
 from tumble.result.parts import Parameter
 from tumble.result.unaided import improvement
 from tumble.run.calibrate import ITERATED_METHODS
-from tumble.sensors.parameters import group_name, within_group
+from tumble.sensors.parameters import group_name, named_group, shown_in, within_group
 from tumble.units import Array, engineering
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.numbers import (
@@ -310,19 +310,32 @@ def compact_table(parameters: Sequence[Parameter]) -> Table:
 _PER_ROW = 3  # parameters
 
 
+WIDENED = 1.05  # factor of a prior above which it counts as widened
+
+
 def group_table(calibration: Calibration, *, on_page: bool = False) -> Table:
-    """Return a table with a row for each group beyond the linear model: largest |value| with u, fraction learned from
-    the data, and its size if that is unusual; `on_page` also its meaning and prior."""
-    rows = []
-    for line in group_lines(calibration):
-        largest = line.largest
-        value, u = ("", "") if largest is None else cells(abs(largest.value), largest.u, line.size)
-        prior = "" if line.prior is None else significant(line.prior / line.size, 4)
-        row = {"group": line.name} | ({"what it is": line.words} if on_page else {})
-        row |= {"largest": value, "u (k=1)": u} | ({"prior": prior} if on_page else {})
-        rows.append(
-            row | {"unit": line.shown if largest or on_page else "", FROM_DATA: line.learned_percent, "": line.remark}
-        )
+    """Return a table with a row for each group beyond the linear model that the calibration has or tested: largest
+    |value| with u, fraction learned from the data, and its size if that is unusual; `on_page` also its meaning and
+    prior."""
+    findings, rows = {group.name: group for group in calibration.groups}, []
+    members_of = {name: list[Parameter]() for name in findings} | by_group(further_parameters(calibration.parameters))
+    for name, members in members_of.items():
+        finding, entry = findings.get(name), named_group(name)
+        largest = max(members, key=lambda p: abs(p.value), default=None)
+        prior = finding.prior if finding is not None else next((p.prior for p in members if p.prior), None)
+        learned = finding.learned if finding is not None else [p.learned for p in members if p.learned is not None]
+        remark = "not determined" if largest is None else ""
+        if largest is not None and finding is not None and finding.prior_widened > WIDENED:
+            remark = f"{finding.prior_widened:.2g} times the usual size"
+        si = largest.unit if largest is not None else entry.unit if entry is not None else ""
+        size, unit = shown_in(name, si, abs(largest.value) if largest is not None else prior or 0.0)
+        value, u = ("", "") if largest is None else cells(abs(largest.value), largest.u, size)
+        row = {"group": name} | ({"what it is": name if entry is None else entry.words} if on_page else {})
+        row |= {"largest": value, "u (k=1)": u}
+        row |= {"prior": "" if prior is None else significant(prior / size, 4)} if on_page else {}
+        ends = [f"{100.0 * end(learned):.0f}" for end in (min, max)] if learned and largest is not None else []
+        from_data = "–".join(dict.fromkeys(ends)) + " %" * bool(ends)
+        rows.append(row | {"unit": unit if largest or on_page else "", FROM_DATA: from_data, "": remark})
     return table(rows, words=("group", "what it is", "unit", ""), dense=True)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.result.further import group_lines, linear_parameters, prediction_text
+from tumble.result.further import linear_parameters, prediction_text
 from tumble.run.from_readings import ReadingsCalibration, paper_form
 from tumble.units import engineering
 from tumble.views.blocks import Block, Items, Table, table
@@ -24,7 +24,7 @@ def readings_blocks(result: ReadingsCalibration) -> list[Block]:
     if fit is not None or calibration.parameters:
         blocks.append(parameter_table(calibration, linear_parameters(calibration.parameters)))
     if fit is not None:
-        blocks += [group_table(calibration)] if group_lines(calibration) else []
+        blocks.append(group_table(calibration))
         if calibration.frame == "paper":
             blocks.append(_paper_table(result))
         size, unit = engineering("m/s^2", float(np.abs(fit.residual[fit.used]).max()))

@@ -21,7 +21,7 @@ from tumble.result.further import recording_dates
 from tumble.views.blocks import Document, Facts, Items, Part, Section, Tone, section
 from tumble.views.numbers import NONE, device_name, fixed, significant
 from tumble.views.report import application, over_temperature, recording, result
-from tumble.views.uncertainty_budget import budget_section
+from tumble.views.uncertainty_budget import budget_blocks
 
 _MAX_TIMES = 3  # times listed in full; with more recordings only the days are listed
 
@@ -121,9 +121,17 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
         dates = [(calibration.provenance.circumstances.date or "")[:10] for calibration in calibrations]
         titles = [f"{i}: {name} {day}".rstrip() for i, (name, day) in enumerate(zip(titles, dates, strict=True), 1)]
     for i, (source, title) in enumerate(zip(sources, titles, strict=True)):
-        inserted = further_sections[i] if further_sections else ()
-        sections = tuple(each for each in _sections(source, inserted, f"c{i + 1}") if each is not None)
-        parts.append(Part(title=title if several else "", sections=sections))
+        calibration, key = source.calibration, f"c{i + 1}"  # prefix of its figures
+        origin = calibration.provenance
+        sections = [
+            result.result(calibration, f"{key}-improvement"),
+            *(further_sections[i] if further_sections else ()),
+            notes(*further.remarks(calibration), *origin.assumptions, *origin.notes),
+            *annexes(calibration, key),
+            result.unknown(calibration),
+            provenance(source),
+        ]
+        parts.append(Part(title=title if several else "", sections=tuple(filter(None, sections))))
     verdict, tone = verdict_on(calibrations)
     return Document(
         title="Calibration report",
@@ -159,18 +167,6 @@ def reasons_of(sources: Sequence[ReportedFile]) -> list[str]:
 # -------------------- sections --------------------
 
 
-def _sections(source: ReportedFile, inserted: Sequence[Section], key: str) -> Iterator[Section | None]:
-    """Yield all sections on a calibration; `key` is the prefix of its figures."""
-    calibration = source.calibration
-    yield result.result(calibration, f"{key}-improvement")
-    yield from inserted
-    origin = calibration.provenance
-    yield notes(*further.remarks(calibration), *origin.assumptions, *origin.notes)
-    yield from annexes(calibration, key)
-    yield result.unknown(calibration)
-    yield provenance(source)
-
-
 def annexes(calibration: Calibration, key: str, *, short: bool = False) -> Iterator[Section | None]:
     """Yield the sections on the correction and the evidence; for a certificate `short`, without figures of recordings,
     budgets of parameters and tables of groups."""
@@ -184,7 +180,8 @@ def annexes(calibration: Calibration, key: str, *, short: bool = False) -> Itera
     yield from map(recording.rests_and_turns, recordings)
     names = ("" if short else f"{key}-residuals{i}" for i in range(len(recordings)))
     yield from map(recording.residuals, recordings, names)
-    yield budget_section(calibration, short=short)
+    if budget := budget_blocks(calibration, every=not short):
+        yield section("Uncertainty budget", *budget)
     yield result.correlations(calibration)
 
 

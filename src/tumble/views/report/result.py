@@ -207,8 +207,8 @@ def beyond(calibration: Calibration, *, groups: bool) -> Section | None:
     """Return the parameters beyond the linear model other than coefficients of temperature; with `groups` also a row
     for each group and the biases decided by priors."""
     further = [p for p in further_parameters(calibration.parameters) if variable_of(p.name) not in THERMAL]
-    group_lines = group_table(calibration, on_page=True)
-    if not (group_lines.rows if groups else further):
+    group_rows = group_table(calibration, on_page=True)
+    if not (group_rows.rows if groups else further):
         return None
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
@@ -228,7 +228,7 @@ def beyond(calibration: Calibration, *, groups: bool) -> Section | None:
     blocks: list[Block] = [meaning]
     if groups:
         decided = decided_by_priors(calibration)
-        blocks += [group_lines, *([f"{decided[0].upper()}{decided[1:]}."] if decided else [])]
+        blocks += [group_rows, *([f"{decided[0].upper()}{decided[1:]}."] if decided else [])]
     if further:
         units = shown_units(further)
         blocks.append(quantity_table(further, units, row, words=("SI unit",), caption=caption, dense=True))
