@@ -77,9 +77,10 @@ def prediction_text(prediction: Prediction) -> str:
 def decided_by_priors(calibration: Calibration) -> str | None:
     """Return a sentence on groups whose priors decide the biases of the accelerometers; None if the data decide."""
     biases = [p.u for p in calibration.parameters if group_name(p.name) == "accel.bias" and p.u]
-    groups = []
+    groups, findings = [], {group.name: group.learned for group in calibration.groups}
     for name, members in by_group(further_parameters(calibration.parameters)).items():
-        entry, learned = named_group(name), [p.learned for p in members if p.learned is not None]
+        entry = named_group(name)
+        learned = findings.get(name) or [p.learned for p in members if p.learned is not None]
         seen_at_rest = entry is not None and entry.kind == "accel" and entry.regressors is not None
         if entry is not None and seen_at_rest and min(learned, default=1.0) < BY_PRIOR:
             groups.append(entry.words)

@@ -58,7 +58,7 @@ def section(calibration: Calibration, name: str) -> Section | None:
         "range the curve is an extrapolation, for which U does not stand."
     )
     text += "".join(f" {sentence[0].upper()}{sentence[1:]}." for sentence in thermometer_notes(calibration))
-    has_dots = any(True for each in names for _ in _readings(calibration, each, reference))
+    has_dots = any(True for each in names for _ in rest_in_parts(calibration, each, reference))
     dots = "Dots: a rest in parts, moved onto the curve. " if has_dots else ""
     over = Figure(
         svg=_curves(name, calibration, names, measured, reference),
@@ -92,7 +92,7 @@ def _curves(
     return svg_of(name, PAGE_WIDTH, 2.0 * -(-len(by_group) // 2) + 0.2, draw)
 
 
-def _readings(calibration: Calibration, member: str, reference: float) -> Iterator[tuple[Array, Array]]:
+def rest_in_parts(calibration: Calibration, member: str, reference: float) -> Iterator[tuple[Array, Array]]:
     """Yield temperatures of the sensors, °C, which lag behind the thermometer, and readings of each rest in parts,
     shifted onto the curve of the bias; nothing for other parameters."""
     kind = sensor_kind(member)
@@ -128,7 +128,7 @@ def _panel(
     size, unit = engineering(within.unit, max(float(np.abs(change).max()) for change, _, _ in curves.values()))
     for i, (member, (change, expanded, outside)) in enumerate(curves.items()):
         colour = COLOURS[i % len(COLOURS)]
-        for celsius, read in _readings(calibration, member, reference):
+        for celsius, read in rest_in_parts(calibration, member, reference):
             axes.plot(celsius, read / size, ".", color=colour, markersize=3.0, alpha=0.6)
         axes.plot(inside, change / size, color=colour, label=drawable(within_group(member)))
         if expanded is not None:
