@@ -99,8 +99,9 @@ def _doubtful_gravity(site: Site) -> Iterator[Finding]:
     normal_u = UNKNOWN_HEIGHT_GRAVITY_U if site.height is None else NORMAL_GRAVITY_U
     sigmas = abs(anomaly or 0.0) / float(np.hypot(site.gravity_u, normal_u))
     if sigmas > DOUBTFUL_SIGMAS:
+        place = " at sea level" if site.height is None else f" at {site.height:.0f} m"
         yield remark(
-            f"{gravity_text(site)} at {site.height or 0.0:.0f} m, {sigmas:.1f} times the standard uncertainty of both: "
+            f"{gravity_text(site)}{place}, {sigmas:.1f} times the standard uncertainty of both: "
             "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true; if it is wrong, "
             f"so are the scale factors of the accelerometers, by {1e6 * (anomaly or 0.0) / site.gravity:+.0f} ppm",
             "accel.scale",
