@@ -484,7 +484,7 @@ def test_the_correction_over_temperature_follows_from_what_is_printed(tmp_path: 
     page = Page.of(tmp_path / "c.html")
     assert "with matrix and bias alone: exact at the reference temperature" in page.whole
     assert "of its sensor: ." not in page.whole
-    value = {row["coefficient"]: printed(row["value, SI"]) for row in page.table("coefficient", "value, SI", "SI unit")}
+    value = {row["parameter"]: printed(row["value, SI"]) for row in page.table("parameter", "value, SI", "SI unit")}
     matrices = [np.array(matrix) for matrix in page.matrices()]
     for kind, (M, b), (reading, true) in (
         ("accel", matrices[:2], matrices[10:12]),
