@@ -87,7 +87,7 @@ def calibration_blocks(
     budget: bool = False,
     file: FilePath = "calibration.json",
     session: FilePath = "SESSION",
-    log: FilePath = "",
+    log: FilePath = "LOG",
 ) -> list[Block]:
     """Return the output of `tumble calibrate`: verdict, improvement, parameters, remarks, and the next command.
 
