@@ -177,7 +177,7 @@ class Template:
             comments.append(example_line(kind, worked, correct(worked.reading)))
             corrections[kind] = correct
         losses = notes_of(calibration, corrections=corrections, left=remarks, held=front.holds, see_to=front.notes)
-        names = {
+        names: dict[str, Any] = {
             "comments": [*comments, *losses],
             "serial": one_line(calibration.serial),
             "model": one_line(calibration.model or ""),

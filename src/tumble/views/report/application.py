@@ -10,7 +10,7 @@ from typing import Any
 from tumble.result.calibration import Calibration
 from tumble.result.correction import Example, examples, linear_example
 from tumble.result.further import SENSORS, further_parameters, linear_errors_text
-from tumble.sensors.model import UNITS, SensorKind
+from tumble.sensors.model import UNITS, SensorKind, SensorModel
 from tumble.sensors.parameters import THERMAL, group_name, variable_of
 from tumble.units import Array
 from tumble.views.blocks import Block, Formula, Matrices, Matrix, Section, Text, section, table
@@ -29,6 +29,7 @@ _OVER_TEMPERATURE = {
 
 def application(calibration: Calibration) -> Section:
     """Return the section: model and frame, definition of a reading, matrices with test vectors, and further terms."""
+    models: dict[SensorKind, SensorModel | None]
     models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
     present = {kind: model for kind, model in models.items() if model is not None}
     frame = _WORDS["frames"].get(calibration.frame, "It is described in the documentation of the software.")
@@ -105,7 +106,7 @@ def _reading_blocks(calibration: Calibration, kinds: Container[str]) -> list[Blo
     return [definition + ".", table(rows, words=("column of the log", "sensor", "raw unit"))]
 
 
-def _unit(calibration: Calibration, kind: str) -> str:
+def _unit(calibration: Calibration, kind: SensorKind) -> str:
     """Return the unit of the readings and biases of a block."""
     return unit_text(calibration["mag.bias.x"].unit if kind == "mag" else UNITS[kind])
 
