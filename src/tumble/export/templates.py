@@ -177,12 +177,12 @@ class Template:
             comments.append(example_line(kind, worked, correct(worked.reading)))
             corrections[kind] = correct
         losses = notes_of(calibration, corrections=corrections, left=remarks, held=front.holds, see_to=front.notes)
-        names: dict[str, Any] = {
+        names: dict[str, Any] = {str(kind): each for kind, each in numbers.items()}
+        names |= {
             "comments": [*comments, *losses],
             "serial": one_line(calibration.serial),
             "model": one_line(calibration.model or ""),
             "frame": calibration.frame,
-            **numbers,
         }
         try:
             text = str(_environment().from_string(self.body).render(names))
