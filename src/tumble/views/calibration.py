@@ -195,8 +195,6 @@ def calibration_blocks(
 
 
 MAX_LINES, WIDTH, MAX_REMARKS = 24, 100, 3  # lines, characters of a line, remarks without --all
-
-
 _TARGETS = {"ardupilot": "ardupilot", "ulog": "px4", "ros": "kalibr"}  # by the format of a recording
 _TARGETS_BY_COLUMN = {"accSmooth[0]": "betaflight", "accelerometer_m_s2[0]": "px4"}  # of decoded logs
 
@@ -308,8 +306,6 @@ def compact_table(parameters: Sequence[Parameter]) -> Table:
 
 
 _PER_ROW = 3  # parameters
-
-
 WIDENED = 1.05  # factor of a prior above which it counts as widened
 
 

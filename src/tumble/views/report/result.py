@@ -222,9 +222,7 @@ def beyond(calibration: Calibration, *, groups: bool) -> Section | None:
         "data sheet, or as many times that as the data show. From data is how much of the prior's variance the "
         "recording has taken off: at 0 % only the prior is known."
     )
-    caption = (
-        "u is the standard uncertainty, k u the half width of the interval of 95.45 %, prior a standard deviation."
-    )
+    caption = "u: standard uncertainty; k u: half width of the interval of 95.45 %; prior: standard deviation."
     blocks: list[Block] = [meaning]
     if groups:
         decided = decided_by_priors(calibration)
