@@ -451,7 +451,7 @@ def test_a_certificate_of_all_groups_has_eight_pages_at_most_and_no_large_file(r
 def test_the_whole_correction_is_printed_and_its_test_vector_follows_from_what_is_printed(real: Path) -> None:
     """The reading by the printed formula at the printed true values, written out here, is the printed reading."""
     page = Page.of(real / "c.html")
-    table = page.table("parameter", "value, SI", "unit")
+    table = page.table("parameter", "value, SI", "SI unit")
     value = {row["parameter"]: printed(row["value, SI"]) for row in table}
     matrices = [np.array(matrix) for matrix in page.matrices()]
     (A, a0), (G, g0) = matrices[:2], matrices[5:7]
@@ -484,7 +484,7 @@ def test_the_correction_over_temperature_follows_from_what_is_printed(tmp_path: 
     page = Page.of(tmp_path / "c.html")
     assert "with matrix and bias alone: exact at the reference temperature" in page.whole
     assert "of its sensor: ." not in page.whole
-    value = {row["parameter"]: printed(row["value, SI"]) for row in page.table("parameter", "value, SI", "unit")}
+    value = {row["parameter"]: printed(row["value, SI"]) for row in page.table("parameter", "value, SI", "SI unit")}
     matrices = [np.array(matrix) for matrix in page.matrices()]
     for kind, (M, b), (reading, true) in (
         ("accel", matrices[:2], matrices[10:12]),

@@ -512,7 +512,8 @@ def quantisation(session: LinearisedSession, s: int) -> Iterator[Finding]:
             yield Finding(
                 causes=("quantisation",),
                 concerns=(kind,),
-                sentence=f"steps of the {SENSORS[kind]} of {two_digits(step / scale)} {unit}, which the noise, "
-                f"{two_digits(rounding.noise[worst] / step)} of a step, does not cover: the mean of a rest errs by up "
-                f"to {two_digits(error / scale)} {unit}; log with more digits, or use a smaller range",
+                sentence=f"steps of the {SENSORS[kind]} of {two_digits(step / scale)} {unit}, too coarse for the noise "
+                f"of a reading, {two_digits(rounding.noise[worst] / scale)} {unit}, to average their rounding out: the "
+                f"mean of a rest errs by up to {two_digits(error / scale)} {unit}; log with more digits, or use a "
+                "smaller range",
             )

@@ -95,9 +95,7 @@ def verdict(
 
 
 def _doubtful_gravity(site: Site) -> Iterator[Finding]:
-    """Refuse gravity that no place on Earth has, and report gravity that few places have.
-
-    A height of zero is also that of a site whose height is not stated."""
+    """Refuse gravity that no place on Earth has, and report gravity that few places have."""
     anomaly = gravity_anomaly(site)
     if anomaly is not None and abs(anomaly) > IMPOSSIBLE_ANOMALY:
         yield refusal(
@@ -107,11 +105,12 @@ def _doubtful_gravity(site: Site) -> Iterator[Finding]:
             "accel.scale",
         )
         return
-    normal_u = NORMAL_GRAVITY_U if site.height else UNKNOWN_HEIGHT_GRAVITY_U
+    normal_u = UNKNOWN_HEIGHT_GRAVITY_U if site.height is None else NORMAL_GRAVITY_U
     sigmas = abs(anomaly or 0.0) / float(np.hypot(site.gravity_u, normal_u))
     if sigmas > DOUBTFUL_SIGMAS:
+        place = " at sea level" if site.height is None else f" at {site.height:.0f} m"
         yield remark(
-            f"{gravity_text(site)} at {site.height:.0f} m, {sigmas:.1f} times the standard uncertainty of both: "
+            f"{gravity_text(site)}{place}, {sigmas:.1f} times the standard uncertainty of both: "
             "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true; if it is wrong, "
             f"so are the scale factors of the accelerometers, by {1e6 * (anomaly or 0.0) / site.gravity:+.0f} ppm",
             "accel.scale",
@@ -298,8 +297,10 @@ def unused_quiet_time(segmentation: Segmentation, *, in_motion: bool = False) ->
 
 
 def gravity_anomaly(site: Site) -> float | None:
-    """Return gravity of a site less normal gravity, m/s²; None if the latitude is unknown."""
-    return None if site.latitude is None else site.gravity - normal_gravity(site.latitude, site.height)
+    """Return gravity of a site less normal gravity, m/s²; None if the latitude is unknown.
+
+    Without a height normal gravity is that at sea level."""
+    return None if site.latitude is None else site.gravity - normal_gravity(site.latitude, site.height or 0.0)
 
 
 def anomaly_text(site: Site) -> str | None:

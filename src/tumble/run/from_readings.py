@@ -244,7 +244,7 @@ def _check_lengths(table: ReadingsTable, nominal: Nominal) -> None:
 
 
 def _site(nominal: Nominal) -> Site:
-    return Site(latitude=None, height=0.0, gravity=nominal.gravity, gravity_u=nominal.gravity_u or 0.0)
+    return Site(latitude=None, height=None, gravity=nominal.gravity, gravity_u=nominal.gravity_u or 0.0)
 
 
 def _rests(table: ReadingsTable, nominal: Nominal, covariance: Array) -> Observations:
