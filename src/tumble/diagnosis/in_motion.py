@@ -13,6 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 import scipy
 
+from tumble.advice import Advised
 from tumble.diagnosis.findings import Finding, refusal
 from tumble.diagnosis.misfit import unusual_groups
 from tumble.diagnosis.projection import FALSE_ALARMS
@@ -39,19 +40,22 @@ def in_motion(estimate: Estimate, observations: Observations, missing: tuple[str
         "attitudes, or put it down in nine or more positions (`tumble programme` shows them)"
     )
     if not estimate.converged or linearised is None:
-        yield refusal(f"{sentence} do not fit the model; {advice}")
+        yield refusal(Advised(f"{sentence} do not fit the model", advice))
         return
     if missing:
         named = ", ".join(missing[:MOST_NAMED]) + (" and others" if len(missing) > MOST_NAMED else "")
-        yield refusal(f"{sentence} do not determine {named} well enough; {advice}", *missing)
+        yield refusal(Advised(f"{sentence} do not determine {named} well enough", advice), *missing)
     support, displacement = linearised.point.local[0, -SUPPORT_COLUMNS:], float(linearised.components.displacement)
     if scipy.special.chdtrc(SUPPORT_COLUMNS, float((support**2).sum()) / SUPPORT_U**2) < FALSE_ALARMS:
         yield refusal(
-            f"the device moved by {100.0 * float(np.abs(support).max()):.1f} cm and more with its attitude: what held "
-            "it gave way; hold it by something stiffer, or turn it in the hand without a rhythm"
+            Advised(
+                f"the device moved by {100.0 * float(np.abs(support).max()):.1f} cm and more with its attitude: what "
+                "held it gave way",
+                "hold it by something stiffer, or turn it in the hand without a rhythm",
+            )
         )
     elif displacement > LARGEST_DISPLACEMENT and not missing:
-        yield refusal(f"the device moved by {displacement:.1f} m in motion: keep it in one place")
+        yield refusal(Advised(f"the device moved by {displacement:.1f} m in motion", "keep it in one place"))
     yield from unusual_groups(estimate)
 
 

@@ -22,6 +22,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from tumble.advice import prefixed
 from tumble.brief import Brief
 from tumble.programme.positions import Programme
 from tumble.recording.session import Site
@@ -347,7 +348,9 @@ def join_sessions(sessions: Sequence[Observations], names: Sequence[str], number
         position=None,
         rounding=rounding,
         thermometers=Thermometers(files=records) if thermometers else None,
-        notes=tuple(f"{name}: {note}" for name, session in zip(names, sessions, strict=True) for note in session.notes),
+        notes=tuple(
+            prefixed(f"{name}: ", note) for name, session in zip(names, sessions, strict=True) for note in session.notes
+        ),
         turns_left_out=tuple(
             f"{name}: {turn}" for name, session in zip(names, sessions, strict=True) for turn in session.turns_left_out
         ),

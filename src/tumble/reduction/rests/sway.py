@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from tumble.advice import Advised
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import FileBlocks, Reduction
 from tumble.reduction.rests.segmentation import Stretch
@@ -149,8 +150,9 @@ def sway_notes(sway: Sway | None) -> tuple[str, ...]:
     """Return a note on the sway of a device and its remedy."""
     if sway is None:
         return ()
-    return (
+    found = (
         f"the device sways by {sway.angle / DEGREE:.2g}° in its rests, as in the hand; the gyros follow it, so that "
-        "turns are taken from mean attitude to mean attitude; put it down on something firm in each position: "
-        "everything is known better, the biases of the gyros most of all",
+        "turns are taken from mean attitude to mean attitude"
     )
+    remedy = "put it down on something firm in each position: everything is known better"
+    return (Advised(found, f"{remedy}, the biases of the gyros most of all"),)
