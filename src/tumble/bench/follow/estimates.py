@@ -26,7 +26,7 @@ from tumble.reduction.rests.segmentation import Segmentation, find_rests
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import group_name, positions_by_group, prior_sizes, sensor_kind, shown_in
-from tumble.units import G_STANDARD, Array
+from tumble.units import G_STANDARD, Array, two_digits
 
 log = logging.getLogger(__name__)
 
@@ -151,7 +151,7 @@ def _compute(
     floor, scale = session.site.gravity_u / session.site.gravity, wanted.group.get("accel.scale", math.inf)
     if not cause and scale < floor:
         cause = (
-            f"accel.scale is limited by gravity to {1e6 * floor:.2g} ppm, and {1e6 * scale:.2g} are wanted: state "
+            f"accel.scale is limited by gravity to {two_digits(1e6 * floor)} ppm, and {two_digits(1e6 * scale)} are wanted: state "
             "latitude, height (--height) or gravity in [site]"
         )
 

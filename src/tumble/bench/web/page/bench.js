@@ -129,7 +129,7 @@ function estimate() {
   residuals(of("residuals"), left);
   show(of("rests"), left.length > 0);
   show(of("groups"), !result);
-  say(of("next"), next && !result ? `Best next: ${next}` : "");
+  say(of("next"), next && !result && !state.position ? `Best next: ${next}` : "");
   say(of("cause"), cause);
   show(of("cause"), Boolean(cause));
 }
