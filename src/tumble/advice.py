@@ -17,8 +17,8 @@ class Advised(str):
         sentence.found, sentence.remedy = found, remedy
         return sentence
 
-    def __getnewargs__(self) -> tuple[str, str]:
-        return self.found, self.remedy
+    def __reduce__(self) -> tuple[type[Advised], tuple[str, str]]:
+        return Advised, (self.found, self.remedy)
 
 
 def advised(found: str, *remedies: str) -> str:

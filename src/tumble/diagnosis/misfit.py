@@ -435,7 +435,7 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
             name = f"{kind}.{what}.drift"
             if is_unusual(by_name.get(name)):
                 changed = with_unit(longest * largest_drift(name), drift_unit)
-                sentence = Advised(
+                sentence = advised(
                     f"{parameters} drift by {changed} over the session, the values given are means over its "
                     f"rests{IN_U}",
                     "let the device warm up, or make the session shorter",

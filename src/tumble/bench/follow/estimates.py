@@ -151,8 +151,8 @@ def _compute(
     floor, scale = session.site.gravity_u / session.site.gravity, wanted.group.get("accel.scale", math.inf)
     if not cause and scale < floor:
         cause = (
-            f"accel.scale is limited by gravity to {two_digits(1e6 * floor)} ppm, and {two_digits(1e6 * scale)} are wanted: state "
-            "latitude, height (--height) or gravity in [site]"
+            f"accel.scale is limited by gravity to {two_digits(1e6 * floor)} ppm, and {two_digits(1e6 * scale)} are "
+            "wanted: state latitude, height (--height) or gravity in [site]"
         )
 
     remaining = gains(estimate, wanted.group, session.accel_block, wanted.accel, session.site)
