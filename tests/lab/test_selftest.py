@@ -47,7 +47,7 @@ def test_a_figure_beyond_its_limit_or_none_at_all_fails(figure: float, passed: b
 
 def test_a_case_that_goes_wrong_fails_the_test_and_the_exit_status(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "normal_gravity", lambda latitude, height: 9.8)  # noqa: ARG005
-    for name in ("_cube", "_noiseless", "_methods", "_noisy_table", "_launches", "_exchanged_columns"):
+    for name in ("_cube", "_noiseless", "_noisy_table", "_launches", "_exchanged_columns"):
         monkeypatch.setattr(module, name, _none)
     result = CliRunner().invoke(main, ["selftest"])
     assert result.exit_code == 1
