@@ -202,22 +202,19 @@ def _sections(
             row |= dict(zip(("as found", "U as found"), before, strict=True))
         return row
 
-    found = [] if as_found is None else [_as_found_text(as_found, acceptance)]
+    found = list[str]()
+    if as_found is not None:
+        days = list(dict.fromkeys(moment[:10] for moment in recording_dates(as_found)))
+        judged = [] if acceptance is None else judge_calibration(as_found, acceptance)
+        verdicts = [verdict_on([as_found])[0]]
+        verdicts += [f"{each.occasion} check: {'; '.join(each.reasons) or each.result}" for each in judged]
+        recorded = f"recorded {' and '.join(days)}" if days else "recorded on a day that is not stated"
+        found.append(f"As found: {recorded}, method {as_found.method}; {', '.join(verdicts)}.")
     yield section("Result", *verdict_blocks(calibration, for_reader), *value_blocks(calibration, extra_columns), *found)
     if acceptance is not None:
         yield limits_section(acceptance, checks)
     yield from filter(None, (notes(*statements_of_result(calibration)), *annexes(calibration, "c", short=True)))
     yield provenance(source)
-
-
-def _as_found_text(as_found: Calibration, acceptance: Limits | None) -> str:
-    """Return a sentence with the dates and verdicts of the calibration before an adjustment."""
-    days = list(dict.fromkeys(moment[:10] for moment in recording_dates(as_found)))
-    judged = [] if acceptance is None else judge_calibration(as_found, acceptance)
-    verdicts = [verdict_on([as_found])[0]]
-    verdicts += [f"{each.occasion} check: {'; '.join(each.reasons) or each.result}" for each in judged]
-    recorded = f"recorded {' and '.join(days)}" if days else "recorded on a day that is not stated"
-    return f"As found: {recorded}, method {as_found.method}; {', '.join(verdicts)}."
 
 
 def letterhead(laboratory: Party) -> Letterhead:
