@@ -25,7 +25,7 @@ import click
 
 from tumble import __version__
 from tumble.documents import one_line
-from tumble.errors import TumbleError
+from tumble.errors import TumbleError, did_you_mean
 from tumble.files import is_removing
 from tumble.plugins import entry_points_of, load, package_of
 from tumble.program_errors import check_memory_limits, ended_by
@@ -150,6 +150,13 @@ class _Commands(click.Group):
                 part.params += [option for option in self.params if own.isdisjoint(option.opts)]
             self.add_command(command, cmd_name)
         return self.commands[cmd_name]
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if self.get_command(ctx, args[0]) is None and not ctx.resilient_parsing:
+            ctx.fail(f"No such command {args[0]!r}{did_you_mean(args[0], self.list_commands(ctx))}")
+        return super().resolve_command(ctx, args)
 
     def make_context(self, *args: Any, **extra: Any) -> click.Context:
         with _in_one_line():

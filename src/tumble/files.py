@@ -47,21 +47,11 @@ def whole_file(path: Path) -> Iterator[Path]:
         raise OSError(errno.ENOENT, f"the folder {path.parent} does not exist", str(path))
     temporary = path.with_name(f".{path.stem[:40]}.{secrets.token_hex(8)}{path.suffix}")
     try:
-        with _errors_of(path, temporary):
-            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-            yield temporary
-            with temporary.open("rb+") as file:
-                os.fsync(file.fileno())
-            temporary.replace(path)
-    finally:
-        _remove([temporary])
-
-
-@contextmanager
-def _errors_of(path: Path, temporary: Path) -> Iterator[None]:
-    """Turn errors of writing the temporary file into OSError that names `path`."""
-    try:
-        yield
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
+        temporary.replace(path)
     except OSError as error:
         if error.filename is not None and Path(os.fsdecode(error.filename)) != temporary:
             raise
@@ -72,6 +62,8 @@ def _errors_of(path: Path, temporary: Path) -> Iterator[None]:
         if number is None:
             raise
         raise OSError(int(number[1]), os.strerror(int(number[1])), str(path)) from None
+    finally:
+        _remove([temporary])
 
 
 _NUMBER = re.compile(r"\(os error (\d+)\)")  # in messages of libraries written in Rust

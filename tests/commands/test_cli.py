@@ -162,7 +162,7 @@ def test_no_argument_at_all_shows_the_commands() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["calibrat"], "No such command 'calibrat'. Did you mean 'calibrate'?"),
+        (["calibrat"], "No such command 'calibrat'; did you mean 'calibrate'?"),
         (["--force"], "No such option '--force'; see `tumble --help`"),
         (["calibrate"], "Missing argument 'SESSION...'; see `tumble calibrate --help`"),
         (["calibrate", "few", "--ouput", "x.json"], "No such option '--ouput'"),

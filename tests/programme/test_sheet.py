@@ -133,6 +133,12 @@ def printed(made: Programme) -> str:
     return terminal.text_of(sheet_blocks(made))
 
 
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_the_table_fits_into_a_hundred_columns(name: str) -> None:
+    table, _ = printed(MADE[name]).split("\n\n", 2)[1:]
+    assert max(map(len, table.splitlines())) <= 100
+
+
 def test_the_table_takes_codes_as_they_are_not_as_markup() -> None:
     odd = replace(position("NUE"), attitude="[red]NUE[/red]", label="[/]")
     text = printed(Programme(name="[bold]odd", positions=(odd,), moves=(), ordered=True))

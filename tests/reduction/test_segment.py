@@ -482,3 +482,21 @@ def test_short_stretches_beside_long_rests_are_no_rests() -> None:
     time = np.concatenate([long.time, long.time[-1] + short.time - short.time[0] + 0.01])
     both = found(time, np.vstack([long.accel, short.accel]), np.vstack([long.gyro, short.gyro]))
     assert len(both.rests) == 8
+
+
+@pytest.mark.parametrize("gyros", [True, False])
+@pytest.mark.parametrize(("kind", "size"), [("accel", 0.02), ("gyro", 0.1 * DEGREE)])
+def test_a_jump_of_a_bias_within_a_rest_divides_it(kind: str, size: float, gyros: bool) -> None:
+    """Nowhere else: a clean recording, and a drift as large in a rest, leave 9 rests."""
+    recording = recorded(Setup.of(grade="mems", programme="nine", rest=30.0, rate_deg_s=40.0, sample_rate=50.0), 21)
+    start, stop = recording.rests[4]
+    phase = np.clip((recording.time - start) / (stop - start), 0.0, 1.0)
+    for change, expected in ((0.0 * phase, 9), (phase, 9), (phase > 0.4, 9 if kind == "gyro" and not gyros else 10)):
+        accel, gyro = (
+            readings + np.outer(change, [0.0, size if kind == own else 0.0, 0.0])
+            for own, readings in (("accel", recording.accel), ("gyro", recording.gyro))
+        )
+        spans = times(found(recording.time, accel, gyro if gyros else None).rests)
+        assert len(spans) == expected
+    if expected == 10:
+        assert spans[4, 1] < start + 0.4 * (stop - start) < spans[5, 0] < spans[4, 1] + 2.5

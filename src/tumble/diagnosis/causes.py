@@ -77,6 +77,7 @@ class Candidate:
     sentences: Sequence[str]  # one, or one for each session, with {size}
     largest_u: float = np.inf  # SI: it is not tested where its size is more uncertain
     places: int = 1  # number of places of which this is the most likely one
+    sized: int | None = None  # columns, the first ones, that give the size; None for all
     abrupt: bool = False  # whether larger in-run biases than usual could have followed it
     direct: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """By group, the change beside the effect on the rows, per unit of the size, and its standard uncertainty."""
@@ -126,7 +127,7 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
                 shift[groups[group]] -= change * fit.values[0]
                 variance[groups[group]] += u**2
             damage = np.abs(shift) / np.sqrt(variance)
-            size = with_unit(float(np.abs(steady.values).max()), c.unit)
+            size = with_unit(float(np.abs(steady.values[: c.sized]).max()), c.unit)
             sentence = c.sentences[min(s, len(c.sentences) - 1)]
             cause = Cause(
                 name=c.name,
@@ -247,6 +248,7 @@ def jumps(session: LinearisedSession) -> Iterator[Candidate]:
                 concerns=(kind,),
                 columns=(np.dstack([jump[0], meanwhile[0]]), np.dstack([jump[1], meanwhile[1]])),
                 unit=BIAS_UNITS[kind],
+                sized=block.size,
                 sentences=[
                     Advised(
                         f"biases of the {SENSORS[kind]} jump by {{size}} after {rest}, as of a driver that measures "

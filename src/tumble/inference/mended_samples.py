@@ -96,7 +96,7 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
     def misclosure(replaced: BoolArray) -> tuple[Array, Array]:
         """Return |φ|², rad², and |Δv|², m²/s² (K,)."""
         bad = _chosen(suspects, replaced[runs] | impossible)
-        moments = replace(linear, turn_samples=samples.with_bad(bad)).moments_about(compensation)
+        moments = replace(linear, turn_samples=replace(samples, bad=bad)).moments_about(compensation)
         φ = np.cross(before, (moments.C @ after[:, :, None])[:, :, 0])
         Δv = moments.V - linear.site.gravity * moments.T[:, None] * before
         return (φ**2).sum(axis=1), (Δv**2).sum(axis=1)

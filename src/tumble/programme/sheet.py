@@ -18,6 +18,7 @@ import numpy as np
 
 from tumble.programme.positions import ANY_MOVE, Move, Position, Programme
 from tumble.programme.sheet_words import (
+    POINTS,
     RATE,
     REST,
     SheetRow,
@@ -317,7 +318,7 @@ def sheet_page(
     head = element("head", element("meta", charset="utf-8"), title, element("style", _STYLE))
     colours = [text_element("b", name, style=f"color: {colour}") for name, colour in BODY_COLOURS.items()]
     key = element("p", "Pictures: ", ", ".join(colours), f" body axes; {_LEGEND}, as drawn here.")
-    notes = element("ul", *(text_element("li", note) for note in notes_of(programme)))
+    notes = element("ul", *(text_element("li", note) for note in (*notes_of(programme), POINTS)))
     columns = (("", "9mm"), ("position", "32mm"), ("how to get there", "70mm"), ("times and notes", "auto"))
     widths = element("colgroup", *(element("col", style=f"width: {width}") for _, width in columns))
     heads = element("thead", element("tr", *(text_element("th", heading) for heading, _ in columns)))

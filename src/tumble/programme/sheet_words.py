@@ -120,9 +120,11 @@ _ANY_ORDER = (
     "go the long way round, by 240° in place of 120°: the scale factors of the gyros are known a fifth better."
 )
 _CODES = (
-    "X, Y, Z point to north N, south S, east E, west W, up U or down D; 45° up to E is 45° above the horizon over "
-    "east; 120° is a bearing, clockwise from north."
+    "Three letters say where X, Y, Z point: to north N, south S, east E, west W, up U or down D. N+45 is then a turn "
+    "by 45° about north."
 )
+POINTS = "45° up to E is 45° above the horizon over east; 120° is a bearing, clockwise from north."
+"""Note where the directions of X, Y and Z are given beside the attitudes."""
 _TURNS = (
     "Turns are about north N, up U or east E by the right-hand rule: thumb along the axis, a positive turn goes the "
     "way the fingers point."

@@ -22,7 +22,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
-from tumble.advice import prefixed
+from tumble.advice import Advised, prefixed
 from tumble.brief import Brief
 from tumble.programme.positions import Programme
 from tumble.recording.session import Site
@@ -32,7 +32,7 @@ from tumble.reduction.noise.rounding import Rounding, rounding_notes
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes, blemish_notes
 from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
 from tumble.reduction.rests.segmentation import Segmentation, Stretch, gap_between
-from tumble.reduction.rests.sway import sway_notes, sway_of
+from tumble.reduction.rests.sway import sway_of
 from tumble.reduction.rests.thermometer import Thermometers
 from tumble.reduction.rests.warming import warming_of
 from tumble.reduction.turns.array_motion import ArrayMoments, array_moments
@@ -43,16 +43,15 @@ from tumble.reduction.turns.turns import (
     Turns,
     TurnSamples,
     aliased_rotations,
-    blow_variances,
     linear_compensation,
-    no_turns,
     reduced_turns,
     turn_readings,
 )
 from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.model import Block, SensorModel
-from tumble.units import DEGREE, Array, IntArray
+from tumble.units import DEGREE, G_STANDARD, Array, IntArray
 
+BLOW = 2.0 * G_STANDARD  # m/s²: the smallest full scale of accelerometers, beyond which a sample may hide clipping
 COSINE_ALIKE = np.cos(10.0 * DEGREE)  # verticals, or attitudes by a turn, within 10° are one
 
 
@@ -191,18 +190,26 @@ class Observations(Brief):
 
     def with_bad_samples(self, bad: BadSamples) -> Observations:
         """Return observations in which exactly these samples of turns are replaced."""
-        samples, gyro = self._samples.with_bad(bad), self.gyro_block
+        samples, gyro = replace(self._samples, bad=bad), self.gyro_block
         assert gyro is not None
         turns = replace(self, turn_samples=samples).turns_about(gyro.nominal())
         turns = replace(turns, aliased=aliased_rotations(samples, turns.covariance))
         return replace(self, turns=turns, turn_samples=samples)
 
     def with_blow_variances(self) -> Observations:
-        """Return observations whose velocity covariances include the velocities that blows in the turns may hide."""
+        """Return observations whose velocity covariances include the squares of the velocities that blows in the turns
+        may hide, ∫ max(|f| − BLOW, 0) dt.
+
+        A device that is put down hard stops within a sample or two. A sensor may then be at the end of its range, which
+        a mean over a sample does not show, and its nonlinearity at 10 g is not that at 1 g: a blow does not determine
+        the quadratic and cubic terms at rest."""
         if self.turns is None or self.turn_samples is None:
             return self
-        blows = blow_variances(self.turn_samples)[:, None, None] * np.eye(3)
-        return replace(self, turns=replace(self.turns, velocity_covariance=self.turns.velocity_covariance + blows))
+        hidden = np.zeros(len(self.turns))
+        for turn, _, forces, intervals in self.turn_samples.by_piece():
+            hidden[turn] += (np.maximum(np.linalg.norm(forces, axis=1) - BLOW, 0.0) * intervals).sum()
+        covariance = self.turns.velocity_covariance + (hidden**2)[:, None, None] * np.eye(3)
+        return replace(self, turns=replace(self.turns, velocity_covariance=covariance))
 
     def turns_about(self, gyro: SensorModel) -> Turns:
         """Return the turns integrated about a gyro model, where M and B are the sensitivities."""
@@ -219,7 +226,12 @@ def without_rests(links: Links, accel: Block, gyro: Block | None, site: Site) ->
     rests = Rests.of_white_noise(np.zeros(0), np.zeros(0), **readings, densities=(0.0, 0.0))
     if links.magnetometer is not None:
         rests = replace(rests, magnetometer=np.zeros((0, 3)), magnetometer_covariance=np.zeros((0, 3, 3)))
-    turns, samples = no_turns(links.samples.samples)
+    none, square, places = np.zeros(0), np.zeros((0, 3, 3)), np.zeros(0, dtype=np.int64)
+    turns = Turns(
+        first=places, last=places, duration=none, C=square, M=np.zeros((0, 3, 3, 3)), B=square, covariance=square,
+        arising=none, velocity_covariance=square, jumps=none, aliased=none,
+    )  # fmt: skip
+    samples = TurnSamples(samples=links.samples.samples, start=places, stop=places)
     return Observations(
         accel_block=accel, gyro_block=gyro, site=site, rests=rests, turns=turns, turn_samples=samples, links=links
     )
@@ -258,8 +270,15 @@ def observe(
     notes += blemish_notes(reduction, spans)
     if gyro is not None and gyro_noise is not None and reduction.samples is not None:
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
-        notes += sway_notes(sway)
         if sway is not None:
+            notes.append(
+                Advised(
+                    f"the device sways by {sway.angle / DEGREE:.2g}° in its rests, as in the hand; the gyros follow "
+                    "it, so that turns are taken from mean attitude to mean attitude",
+                    "put it down on something firm in each position: everything is known better, the biases of the "
+                    "gyros most of all",
+                )
+            )
             rests = replace(rests, accel=rests.accel * (1.0 + sway.shortened)[:, None])
         turned = turns, turn_samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded, sway)
         notes += bad_sample_notes(turn_samples.bad, turns.first)

@@ -76,19 +76,9 @@ def mean_so_far(file: FileBlocks, first: int, last: int) -> dict[str, tuple[floa
 
 
 class RestStream:
-    """Incremental search for rests in an endless stream of samples.
+    """Incremental search for rests in an endless stream of samples at a `rate`, Hz.
 
-    Parameters
-    ----------
-    rate
-        Samples per second.
-    accel, gyro
-        The accelerometers and the gyros; None without gyros.
-    site
-        Site of the recording.
-    increments
-        By kind of sensor, whether a sample is an increment over its interval.
-    """
+    `increments`: by kind of sensor, whether a sample is an increment over its interval."""
 
     def __init__(
         self,
@@ -106,13 +96,8 @@ class RestStream:
         self._returned_until = -np.inf  # end of the last rest that was returned, s
 
     def feed(self, chunk: Chunk) -> list[Observations]:
-        """Add the next samples of the stream, all of the same file.
-
-        Returns
-        -------
-        list of Observations
-            The rests that have ended since the last search, one in each.
-        """
+        """Add the next samples of the stream, all of the same file, and return the rests that have ended since the last
+        search, one in each."""
         ended = list[Observations]()
         while len(chunk.time):
             count = min(len(chunk.time), self._step - self._samples % self._step)

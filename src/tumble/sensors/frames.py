@@ -201,26 +201,11 @@ def convert(
     target: Frame,
     alignment: Alignment | None = None,
 ) -> Framed:
-    """Convert parameters from one frame to another, with their covariance.
+    """Convert parameters (m,) of the accelerometers, then of the gyros, SI, from one frame to another, with their
+    covariance (m, m).
 
-    Parameters
-    ----------
-    accel, gyro
-        The accelerometers and the gyros.
-    source, target
-        Frame of `values`, and the new frame.
-    values
-        Parameters (m,) of the accelerometers, then of the gyros, SI.
-    covariance
-        Their covariance (m, m).
-    alignment
-        Alignment of the case with `source`, if `target` is the case.
-
-    Raises
-    ------
-    InputError
-        For a frame that these sensors do not have, and for the case without an alignment.
-    """
+    `alignment` is that of the case with `source`, if `target` is the case. Raises InputError for a frame that these
+    sensors do not have, and for the case without an alignment."""
     old, new = Convention(frame=source, block=accel), Convention(frame=target, block=accel)
     count = len(old.names)
     before = old.model(values[:count])

@@ -11,7 +11,7 @@ from tumble.errors import InputError, needs_extra
 from tumble.files import FilePath, ending_in, whole_file
 from tumble.programme.positions import Programme
 from tumble.programme.sheet import SIGNATURES, form_of, legend, picture, sheet_drawing, sheet_page
-from tumble.programme.sheet_words import RATE, REST, notes_of, pace_of, sheet_rows
+from tumble.programme.sheet_words import POINTS, RATE, REST, notes_of, pace_of, sheet_rows
 from tumble.usual_setup import MOVE
 from tumble.views.blocks import Block, table
 
@@ -19,15 +19,20 @@ ENDINGS = (".html", ".pdf", ".svg")
 
 
 def sheet_blocks(programme: Programme, *, rest: float = REST, rate: float = RATE, move: float = MOVE) -> list[Block]:
-    """Return the sheet for a terminal: how to get to each position, where the body axes point, and when."""
+    """Return the sheet for a terminal of 100 columns: how to get to each position, its attitude, and when."""
     rows = sheet_rows(programme, rest=rest, rate=rate, move=move)
-    listed = []
-    for row in rows:
-        cells = {"": str(row.number), "how to get there": row.how, "attitude": row.attitude}
-        cells |= dict(zip("XYZ", row.points, strict=True))
-        listed.append(cells | {"up and down": row.position.label, "rest": row.when})
+    listed = [
+        {
+            "": str(row.number),
+            "how to get there": row.how,
+            "attitude": row.attitude,
+            "up and down": row.position.label,
+            "rest": row.when,
+        }
+        for row in rows
+    ]
     title = f"{programme.name}: {pace_of(programme, rows, rate, move)}"
-    words = ("how to get there", "attitude", "X", "Y", "Z", "up and down")
+    words = ("how to get there", "attitude", "up and down")
     return [title, table(listed, words=words), *notes_of(programme)]
 
 
@@ -102,7 +107,7 @@ def _pdf(programme: Programme, pace: Mapping[str, float], serial: str, number: s
         "forms": form_of(serial, number, revision),
         "signatures": SIGNATURES,
         "legend": {"svg": legend()},
-        "notes": notes_of(programme),
+        "notes": [*notes_of(programme), POINTS],
         "positions": [
             {
                 "number": str(row.number),

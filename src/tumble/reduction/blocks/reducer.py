@@ -237,21 +237,10 @@ class _Channels:
 
 
 class Reducer:
-    """Incremental reduction of a log to blocks; `now` returns the result so far.
+    """Incremental reduction of a log at a `rate`, Hz, to blocks; `now` returns the result so far.
 
-    Parameters
-    ----------
-    rate
-        Samples per second.
-    accel, gyro
-        The accelerometers and the gyros; None without gyros.
-    increments
-        By kind of sensor, whether a sample is an increment over its interval.
-    magnetometer
-        Whether there is a magnetometer.
-    clock_rate
-        Seconds per second of the log's clock.
-    """
+    `increments`: by kind of sensor, whether a sample is an increment over its interval. `magnetometer`: whether there
+    is one. `clock_rate`: seconds per second of the log's clock."""
 
     def __init__(
         self,

@@ -38,6 +38,9 @@ class Tuning:
         2.0, "", "largest scatter of the accelerometers, in noise floors, in blocks that show the gyro level")
     quiet_share: float = _threshold(0.1, "", "least fraction of a recording at rest: noise floors start there")
     edge: float = _threshold(4.0, "", "distance of a block, in standard deviations of a rest, at which the rest ends")
+    step_beyond: float = _threshold(
+        7.0, "", "change of a reading within a rest, in standard deviations of all such changes, that divides it",
+        "3e-12 of Gaussian changes; below 1e-5 a rest where 24 changes give the deviation")
     rest: float = _threshold(2.0, "s", "shortest rest between its margins")
     fewest_blocks: int = _threshold(2, "", "fewest blocks of a rest", "a covariance needs two")
     margin_fraction: float = _threshold(0.05, "", "margin at each end, as a fraction of a quiet stretch")

@@ -91,9 +91,14 @@ def rounding(samples: Array, rests: Sequence[Array], channels: Sequence[ChannelS
     relative = np.divide(noise, step, out=np.full(len(step), np.inf), where=step > 0.0)
     amplitude = np.exp(-2.0 * np.pi**2 * relative**2) / np.pi
     common = np.where(relative < SMOOTHING_NOISE, np.minimum(amplitude, 12.0**-0.5), 0.0)
-    for i in np.flatnonzero(relative < SMOOTHING_NOISE):
-        if (steps := _same_readings([rest[:, i] / step[i] for rest in rests if len(rest)])) is not None:
-            relative[i], common[i] = _at_one_position(steps)
+    for i in np.flatnonzero(relative < SMOOTHING_NOISE) if any(map(len, rests)) else ():
+        by_rest = [rest[:, i] / step[i] for rest in rests if len(rest)]
+        if np.std([values.mean() for values in by_rest]) > SAME_READING:
+            continue
+        values = np.concatenate(by_rest)
+        whole = np.round(values - np.round(np.median(values)))  # samples of one reading, in steps
+        if np.mean(whole != 0.0) > RARE:
+            relative[i], common[i] = _at_one_position(whole)
             noise[i] = relative[i] * step[i]
     return Rounding(
         step=step,
@@ -101,16 +106,6 @@ def rounding(samples: Array, rests: Sequence[Array], channels: Sequence[ChannelS
         rest_u=step * np.sqrt(_mean_square(relative)),
         common_u=step * common,
     )
-
-
-def _same_readings(rests: Sequence[Array]) -> Array | None:
-    """Return the samples (m,) of all rests, in steps less a whole number, if all rests have the same reading and more
-    than one value occurs; else None."""
-    if not rests or np.std([rest.mean() for rest in rests]) > SAME_READING:
-        return None
-    values = np.concatenate(rests)
-    whole = np.round(values - np.round(np.median(values)))
-    return whole if np.mean(whole != 0.0) > RARE else None
 
 
 def _at_one_position(values: Array) -> tuple[float, float]:

@@ -251,12 +251,12 @@ def _match_unordered(
 
 def without_times(reduction: Reduction, segmentation: Segmentation, excluded: tuple[Exclusion, ...]) -> Segmentation:
     """Return the rests of a log without excluded times; the longest part of a rest remains."""
-    rests = list(segmentation.rests)
+    rests = segmentation.rests
     for e in excluded:
         if e.start is not None and e.stop is not None:
-            parts = [_longest_part(reduction, rest, (e.file or 1) - 1, e.start, e.stop) for rest in rests]
-            rests = [rest for rest in parts if rest is not None]
-    return replace(segmentation, rests=tuple(rests))
+            parts = (_longest_part(reduction, rest, (e.file or 1) - 1, e.start, e.stop) for rest in rests)
+            rests = tuple(rest for rest in parts if rest is not None)
+    return replace(segmentation, rests=rests)
 
 
 def _longest_part(reduction: Reduction, rest: Stretch, file: int, start: float, stop: float) -> Stretch | None:

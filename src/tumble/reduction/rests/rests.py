@@ -107,17 +107,8 @@ def reduced_rests(
 ) -> tuple[Rests, list[Array], ColouredNoise | None, dict[str, Rounding]]:
     """Reduce the blocks of at least one rest to means with covariance.
 
-    Returns
-    -------
-    rests
-        The rests.
-    accel_detrended
-        Block means (K, n) of the accelerometers in each rest, m/s², to which their noise was fitted.
-    gyro_noise
-        Noise of the gyros, None without gyros.
-    rounded
-        Resolution of the readings of "accel" and "gyro".
-    """
+    Besides the rests, return the block means (K, n) of the accelerometers in each of them, m/s², to which their noise
+    was fitted, the noise of the gyros, None without gyros, and the resolution of the readings of "accel" and "gyro"."""
     by_file, kinds = reduction.by_file, ("accel", "gyro", "magnetometer")
     pairs = [(by_file[s.file], slice(s.first, s.last)) for s in spans]
     series = {kind: [getattr(f, kind).means[span] for f, span in pairs] for kind in kinds}

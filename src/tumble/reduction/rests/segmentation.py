@@ -25,6 +25,11 @@
 6. A stretch in which the vertical moves by more than `tilt`, plus the change allowed for the temperature of the
    accelerometer biases, is not a rest. In a log without rests the floors are those of motion, so that a slow turn
    passes the tests above.
+7. A rest in which a reading steps to another level, because of a knock or a jump of a bias, is divided there. The
+   change from the mean over a time to that over the next, an eighth of the median rest or a window, is compared with
+   its median size in this rest and in all rests. Unlike a drift, a step has this size (by half to twice) also between
+   the means of all that is before and after it, and at least half of it over a third of the time. Rests of less than
+   six such times, whose parts would hardly be rests, are not divided.
 
 Without gyros, the accelerometer scatter decides, together with the step between the means of neighbouring seconds,
 which reveals a turn about a nearly vertical axis by its small tilt.
@@ -52,6 +57,8 @@ DENSITY_BATCH = 16  # points whose distances from all others fit into the cache
 ACCEL_ROUNDING = 1e-5  # m/s²: rounding of block means from single-precision increments
 GYRO_ROUNDING = 1e-7  # rad/s: the same
 LONGEST_LIST = 20  # stretches that a message lists one by one
+FEWEST_CHANGES = 24  # independent changes that show how large they usually are
+NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal variable
 EXTENSION_STRIDE = 256  # blocks compared at a time when a stretch is extended
 
 Fails = Literal["duration", "scatter", "vertical", "level"]
@@ -394,16 +401,18 @@ class _RestSearch:
         rejected: list[Stretch],
     ) -> Segmentation:
         """Extend the spans, remove the margins, and keep those that are long enough and do not tilt."""
-        tuning, rests = self.tuning, list[Stretch]()
-        for k, (f, force) in enumerate(zip(self.files, self.forces, strict=True)):
-            signals = [(force, self.force_step)] + ([] if rates is None else [(rates[k], self.rate_step)])
+        tuning, rests, extended = self.tuning, list[Stretch](), list[list[Span]]()
+        for k, of_file in enumerate(spans):
+            signals = [(self.forces[k], self.force_step)] + ([] if rates is None else [(rates[k], self.rate_step)])
             merged: list[Span] = []
-            for first, last in sorted(self._extended(signals, i, j) for i, j in spans[k]):
+            for first, last in sorted(self._extended(signals, i, j) for i, j in of_file):
                 if merged and first < merged[-1][1]:
                     merged[-1] = merged[-1][0], max(last, merged[-1][1])
                 elif last > first:
                     merged.append((first, last))
-            for first, last in merged:
+            extended.append(merged)
+        for f, force, of_file in zip(self.files, self.forces, self._divided_at_steps(extended, rates), strict=True):
+            for first, last in of_file:
                 duration = float(f.edges[last] - f.edges[first])
                 margin = tuning.margin_of(duration)
                 before, after = margin if first > 0 else 0.0, margin if last < len(f) else 0.0
@@ -431,6 +440,40 @@ class _RestSearch:
             scatter_limit=scatter_limit,
             tuning=tuning,
         )
+
+    def _divided_at_steps(self, spans: list[list[Span]], rates: list[Array] | None) -> list[list[Span]]:
+        """Divide spans in which a reading steps to another level, as by a knock or a jump of a bias (step 7)."""
+        values = self.forces if rates is None else [np.hstack(pair) for pair in zip(self.forces, rates, strict=True)]
+        resolution = np.repeat([self.force_step, self.rate_step], 3)[: values[0].shape[1]]
+        blurred, divided = self.window // 2, [dict.fromkeys(of_file) for of_file in spans]
+        inner = [(k, span, slice(span[0] + blurred, span[1] - blurred)) for k, s in enumerate(spans) for span in s]
+        side = max(self.window, int(np.median([r.stop - r.start for *_, r in inner] or [0])) // 8)
+        inner = [each for each in inner if each[2].stop - each[2].start >= 6 * side]
+        if sum(r.stop - r.start for *_, r in inner) < FEWEST_CHANGES * side:
+            return spans
+
+        def changes(readings: Array) -> Array:
+            """Return the means over `side` blocks less those over `side` before them (m, c)."""
+            total = np.cumsum(np.vstack([readings[:1], readings]) - readings[0], axis=0)
+            return np.asarray(total[2 * side :] - 2.0 * total[side:-side] + total[: -2 * side]) / side
+
+        all_changes = [changes(values[k][rows]) for k, _, rows in inner]
+        usual = np.median(np.abs(np.concatenate(all_changes)), axis=0)
+        for (k, (first, last), rows), change in zip(inner, all_changes, strict=True):
+            beyond = (np.abs(change) - resolution) / np.maximum(usual, 1e-300)
+            row, c = np.unravel_index(np.argmax(beyond), beyond.shape)
+            step, at, reading = change[row, c], side + int(row), values[k][rows, [c]]
+            apart = changes(reading - step * (np.arange(len(reading))[:, None] >= at))
+            sigma = max(usual[c], float(np.median(np.abs(apart)))) / NORMAL_MEDIAN
+            if abs(step) - resolution[c] > self.tuning.step_beyond * sigma:
+                near = reading[at : at + side // 3].mean() - reading[at - side // 3 : at].mean()
+                whole = reading[at:].mean() - reading[:at].mean()
+                if near / step > 0.5 and 0.5 < whole / step < 2.0:
+                    divided[k][first, last] = rows.start + at
+        return [
+            [part for (i, j), at in of_file.items() for part in (((i, j),) if at is None else ((i, at), (at, j)))]
+            for of_file in divided
+        ]
 
     def _extended(self, signals: list[tuple[Array, float]], first: int, last: int) -> Span:
         """Move the ends of a span, blurred by half a window, to where single blocks are more than `edge` standard

@@ -24,12 +24,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from tumble.advice import Advised
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.reducer import FileBlocks, Reduction
 from tumble.reduction.rests.segmentation import Stretch
 from tumble.rotation import skew, unit_vector
-from tumble.units import DEGREE, Array
+from tumble.units import Array
 
 FOURTH_DIFFERENCES = 70.0  # variance of the fourth differences, 1 −4 6 −4 1, of independent samples, over theirs
 STRETCH = 10  # blocks of a stretch: 1 s
@@ -144,15 +143,3 @@ def _detrended(values: Array) -> Array:
     x /= np.linalg.norm(x)
     off = stretches - stretches.mean(axis=1, keepdims=True)
     return np.asarray(off - x[:, None, None] * np.einsum("k,skcm->scm", x, off)[:, None])
-
-
-def sway_notes(sway: Sway | None) -> tuple[str, ...]:
-    """Return a note on the sway of a device and its remedy."""
-    if sway is None:
-        return ()
-    found = (
-        f"the device sways by {sway.angle / DEGREE:.2g}° in its rests, as in the hand; the gyros follow it, so that "
-        "turns are taken from mean attitude to mean attitude"
-    )
-    remedy = "put it down on something firm in each position: everything is known better"
-    return (Advised(found, f"{remedy}, the biases of the gyros most of all"),)

@@ -31,7 +31,6 @@ from tumble.reduction.rests.segmentation import Stretch
 from tumble.reduction.rests.sway import FOURTH_DIFFERENCES
 from tumble.reduction.turns.turns import TurnSamples, independent_sample_variances, smallest_distances
 from tumble.rotation import rotation_matrix, skew
-from tumble.sensors.model import SensorKind
 from tumble.units import Array, BoolArray, IntArray
 
 PARTS = 4  # parts of a link in which its sensitivities are integrated
@@ -119,7 +118,8 @@ def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
         return None
     parts = np.array([np.linspace(a, b, PARTS + 1).astype(np.int64) for a, b in edges])
     samples, seconds = _samples_of(reduction.samples, parts), np.array(duration)
-    gyro_density, accel_density = (_noise_density(samples, kind, seconds) for kind in ("gyro", "accel"))
+    of_parts = (independent_sample_variances(samples, kind).reshape(-1, PARTS) for kind in ("gyro", "accel"))
+    gyro_density, accel_density = (float(np.quantile(v.sum(axis=1) / seconds, QUIET_SHARE)) for v in of_parts)
     within = np.array([(f.first_sample, f.sample_at(len(f))) for f in (reduction.by_file[file[i]] for i in before)])
     start, stop = np.maximum(parts[:, 0] - 1, within[:, 0]), np.minimum(parts[:, -1] + 1, within[:, 1])
     least = smallest_distances(reduction, (gyro_density, accel_density))
@@ -181,12 +181,6 @@ def _value_at(means: Array, edge: int) -> Array:
     if means.shape[1] != 3 or not 2 <= edge <= len(means) - 2:
         return np.full(3, np.nan)
     return np.asarray(EDGE_WEIGHTS @ means[edge - 2 : edge + 2])
-
-
-def _noise_density(samples: TurnSamples, kind: SensorKind, duration: Array) -> float:
-    """Return the density of white noise in the quietest links, rad²/s of rates or m²/s³ of forces."""
-    variances = independent_sample_variances(samples, kind).reshape(-1, PARTS).sum(axis=1)
-    return float(np.quantile(variances / duration, QUIET_SHARE))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

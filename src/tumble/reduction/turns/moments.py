@@ -90,11 +90,6 @@ class Compensation:
     g_sensitivity: Array
     delay: float
 
-    def _kernel_model(self) -> _kernels.Model:
-        """Return the arguments of the compiled loops."""
-        G = self.gyro.matrix @ self.g_sensitivity
-        return self.gyro._kernel_terms(), self.accel._kernel_terms(), np.ascontiguousarray(G), float(self.delay)
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Moments:
@@ -191,7 +186,9 @@ def integrate(
             parts = [(slice(i, i + 1), compensation[k]) for i, k in enumerate(turn)]
         for part, values in parts:
             where = turn[part], start[part], stop[part]
-            _kernels.integrate_pieces((rates, forces, intervals), where, values._kernel_model(), axes, sums)
+            G = np.ascontiguousarray(values.gyro.matrix @ values.g_sensitivity)
+            model = values.gyro._kernel_terms(), values.accel._kernel_terms(), G, float(values.delay)
+            _kernels.integrate_pieces((rates, forces, intervals), where, model, axes, sums)
         del pieces, rates, forces, intervals  # free the memory before the next batch is read
     cross = skew(attitude[:, 1:])  # of unit quaternions, scalar first
     Phi, body = products[:, :9].reshape(count, 3, 3, rows), products[:, 9]

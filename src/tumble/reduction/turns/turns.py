@@ -37,7 +37,7 @@ from tumble.reduction.turns.array_motion import sensor_readings
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate_in_parts
 from tumble.rotation import onto_body
 from tumble.sensors.model import Block, SensorKind, SensorModel
-from tumble.units import G_STANDARD, Array, IntArray
+from tumble.units import Array, IntArray
 
 PATH_STEPS = 32  # steps of a turn in which the noise of its gyros is rotated to its start
 VELOCITY_FLOOR = 1e-8  # m/s
@@ -46,7 +46,6 @@ ALIASING_RATIO = 9.0  # variance by independent samples over that by noise, from
 TURN_FLOOR = 1e-10  # rad: smallest standard uncertainty of a turn, even in a simulation without noise
 BATCH_SAMPLES = 2**17  # samples of turns in memory at a time: 7 MB
 MAX_CACHED_SAMPLES = 2**19  # samples of turns that may stay in memory, gathered once: 29 MB
-BLOW = 2.0 * G_STANDARD  # m/s²: the smallest full scale of accelerometers, beyond which a sample may hide clipping
 AHEAD = 2  # samples kept ahead of every piece of a turn, for the first step
 CONVERTER_ENDS = 2.0 ** np.arange(11, 32)  # 2^k of converters of 12 to 32 bits
 EQUAL_READINGS = 1e-6  # relative difference of equal readings
@@ -111,10 +110,6 @@ class TurnSamples:
     def lengths(self) -> IntArray:
         """Number of samples of each turn (K,)."""
         return np.concatenate([self.stop - self.start, *(other.lengths for _, other in self.others)])
-
-    def with_bad(self, bad: BadSamples) -> TurnSamples:
-        """Return these samples with other bad ones."""
-        return replace(self, bad=bad)
 
     def pieces(self) -> Iterator[Pieces]:
         """Yield batches of turns or parts of turns, each with at most one piece of a turn."""
@@ -254,17 +249,6 @@ def reduced_turns(
     return turns, samples
 
 
-def no_turns(stored: MotionSamples) -> tuple[Turns, TurnSamples]:
-    """Return the turns of a recording without rests."""
-    none, places = np.zeros(0), np.zeros(0, dtype=np.int64)
-    square, cube = np.zeros((0, 3, 3)), np.zeros((0, 3, 3, 3))
-    turns = Turns(
-        first=places, last=places, duration=none, C=square, M=cube, B=square, covariance=square, arising=none,
-        velocity_covariance=square, jumps=none, aliased=none,
-    )  # fmt: skip
-    return turns, TurnSamples(samples=stored, start=places, stop=places)
-
-
 def smallest_distances(reduction: Reduction, densities: tuple[float, float]) -> Array:
     """Return the smallest distances of bad samples from their neighbours, for rates, rad/s, and forces, m/s² (6,).
 
@@ -310,18 +294,6 @@ def aliased_rotations(samples: TurnSamples, covariance: Array) -> Array:
     variance, noise = independent_sample_variances(samples), np.trace(covariance, axis1=1, axis2=2) / 3.0
     aliased = len(noise) > 0 and np.median(variance / noise) > ALIASING_RATIO
     return variance if aliased else np.zeros_like(variance)
-
-
-def blow_variances(samples: TurnSamples) -> Array:
-    """Return the variances per axis (K,), m²/s², of velocities that blows may hide: (∫ max(|f| − BLOW, 0) dt)².
-
-    A device that is put down hard stops within a sample or two. A sensor may then be at the end of its range, which a
-    mean over a sample does not show, and its nonlinearity at 10 g is not that at 1 g: a blow does not determine the
-    quadratic and cubic terms at rest."""
-    out = np.zeros(len(samples.lengths))
-    for turn, _, forces, intervals in samples.by_piece():
-        out[turn] += (np.maximum(np.linalg.norm(forces, axis=1) - BLOW, 0.0) * intervals).sum()
-    return out**2
 
 
 def turn_readings(
