@@ -163,8 +163,8 @@ def _beside_the_likeliest(found: list[tuple[Cause, IntArray, Projection]]) -> li
         )
         if min(beside, reversed_) > FALSE_ALARMS:
             by_group = {name: max(size, cause.by_group[name]) for name, size in best.by_group.items()}
-            both = f"{found_in(best.sentence)}; or, indistinguishable in this session: {found_in(cause.sentence)}"
-            sentence = advised(both, " or ".join(filter(None, map(remedy_of, (best.sentence, cause.sentence)))))
+            found_both = f"{found_in(best.sentence)}; or, indistinguishable in this session: {found_in(cause.sentence)}"
+            sentence = advised(found_both, " or ".join(filter(None, map(remedy_of, (best.sentence, cause.sentence)))))
             best = replace(best, sentence=sentence, by_group=by_group, rivals=(*best.rivals, cause.name))
         others.append(replace(cause, p_value=max(cause.p_value, beside)))
     return [best, *others]

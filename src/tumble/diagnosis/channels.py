@@ -98,7 +98,7 @@ def dead_zones(reduction: Reduction, rests: Sequence[Stretch], channels: Channel
     def most_equal(values: Array) -> int:
         return int(np.unique(values, return_counts=True)[1].max())
 
-    faults = []
+    faults = list[str]()
     for i, (column, state) in enumerate(zip(channels.columns, reduction.gyro_channels, strict=True)):
         sizes, step = np.abs(at_rest[:, i]), state.step if np.isfinite(state.step) else 0.0
         zeros, others = int((sizes == 0.0).sum()), sizes[sizes > 0.0]
