@@ -6,7 +6,7 @@ from tumble.campaigns.campaign import SummaryLine as SummaryLine
 from tumble.campaigns.cluster import Place as Place
 from tumble.campaigns.fleet import FleetResult as FleetResult
 from tumble.diagnosis.observability import Refusal as Refusal
-from tumble.drafting.draft import Draft as Draft
+from tumble.drafting.foreign_log import Draft as Draft
 from tumble.drafting.new_session import Given as Given
 from tumble.inference.estimate import Fit as Fit
 from tumble.inference.estimate import GroupFinding as GroupFinding

@@ -5,7 +5,7 @@ uncertainty."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -278,6 +278,19 @@ def rows_of_one_kind(folder: Path, rows: Array) -> Path:
     return folder / "log.csv"
 
 
+def joined_at_two_rates(folder: Path, rows: Array) -> Path:
+    """Frames joined by their times: nulls in each second row of the accelerometers, and rows of a magnetometer."""
+    names = ["t", *NAMES.split(",")]
+    accel, gyro = (
+        pl.DataFrame(rows[::2, :4], schema=names[:4]),
+        pl.DataFrame(rows[:, [0, 4, 5, 6]], schema=["t", *names[4:]]),
+    )
+    field = pl.DataFrame(rows[::10, :1] + [0.002, 20.0, 0.0, -40.0], schema=["t", "mx", "my", "mz"])
+    both = accel.join(gyro, on="t", how="full", coalesce=True).join(field, on="t", how="full", coalesce=True)
+    both.sort("t").write_parquet(folder / "log.parquet")
+    return folder / "log.parquet"
+
+
 LOGS: list[Callable[[Path, Array], Path]] = [
     plain, in_g_and_ms, of_st, counts_at_micros, counter_starts_anew, of_a_german_office,
     units_below_names, iso_dates, times_of_day, without_times, header_after_comments, with_magnetometer_and_temperature,
@@ -286,6 +299,7 @@ LOGS: list[Callable[[Path, Array], Path]] = [
     tuples_of_python, array_of_numpy, newest_first, newest_first_by_the_clock, in_minutes,
     in_hours_without_a_unit, a_time_for_each_sensor,
     devices_one_after_the_other, devices_in_turn, devices_without_a_name, rows_of_one_kind,
+    joined_at_two_rates,
 ]  # fmt: skip
 
 
@@ -331,6 +345,91 @@ def test_one_of_several_devices_is_taken_and_the_others_are_said(
     assert any(remark.startswith(said) for remark in draft.remarks)
     with pytest.raises(InputError, match=f"expected a message 'x', found {name}.3, {name}.7"):
         new_session(tmp_path / "x", log, Given(message="x"))
+
+
+@pytest.mark.parametrize(
+    ("accel", "gyro", "groups"),
+    [
+        ("{}_a{}", "{}_g{}", ("left", "right")),
+        ("{}.acc.{}", "{}.gyro.{}", ("imu0", "imu1")),
+        ("{}_linear_acceleration_{}", "{}_angular_velocity_{}", ("primary", "secondary")),
+        ("a{1}_{0}", "g{1}_{0}", ("front", "rear")),
+        ("a{1}{0}", "g{1}{0}", ("1", "2")),
+    ],
+)
+@pytest.mark.parametrize("message", [False, True])
+def test_one_of_several_groups_by_the_names_of_columns_is_taken(
+    accel: str,
+    gyro: str,
+    groups: tuple[str, str],
+    message: bool,
+    device: tuple[Array, dict[str, float]],
+    tmp_path: Path,
+) -> None:
+    """The gyros of the second are before those of the first."""
+    rows, _ = device
+    first, second = ([name.format(k, axis) for name in (accel, gyro) for axis in "xyz"] for k in groups)
+    other = np.column_stack([-rows[:, 2], rows[:, 1], rows[:, 3], -rows[:, 5], rows[:, 4], rows[:, 6]])
+    names = ["t", *first[:3], *second, *first[3:], "T", f"temp_{groups[1]}"]
+    columns = np.column_stack([rows[:, :4], other, rows[:, 4:], rows[:, :1] * 0.0 + 20.0, rows[:, :1] * 0.0 + 30.0])
+    taken, unused = groups[::-1] if message else groups
+    log = table(tmp_path / "log.csv", ",".join(names), columns)
+    draft, faults = new_session(tmp_path / "s", log, Given(message=taken if message else None))
+    assert [draft.log["accel"]["columns"], draft.log["gyro"]["columns"]] == (
+        [second[:3], second[3:]] if message else [first[:3], first[3:]]
+    )
+    assert draft.log["temperature"]["columns"] == ["T"]
+    assert not faults
+    said = f"of which {taken} is taken; also there, and not used: {unused} (--message takes another)"
+    assert any(remark.endswith(said) for remark in draft.remarks)
+    with pytest.raises(InputError, match=f"expected a message 'x', found {groups[0]}, {groups[1]}"):
+        new_session(tmp_path / "x", log, Given(message="x"))
+
+
+@pytest.mark.parametrize(("limit", "columns"), [(-32768, range(6)), (32767, [4]), (-(2**31), range(3, 6))])
+def test_integers_that_stand_for_no_reading_are_lost_samples(
+    limit: int, columns: Sequence[int], device: tuple[Array, dict[str, float]], tmp_path: Path
+) -> None:
+    readings = counts(device[0])
+    lost = np.arange(100, len(readings), 97)
+    for row in range(3):  # several in a row
+        readings[np.ix_(lost + row, columns)] = limit
+    draft, faults = new_session(
+        tmp_path / "s", table(tmp_path / "l.csv", f"t,{NAMES}", device[0][:, 0], readings, digits=12)
+    )
+    assert (draft.log["accel"]["scale"], draft.log["gyro"]["scale"]) == (8192.0, 65.5)
+    assert not faults
+    assert any(f"{limit} in {3 * len(lost)} rows" in r and "stand for no reading" in r for r in draft.remarks)
+    written = pl.read_parquet(draft.files[0]).select(NAMES.split(",")).to_numpy()
+    np.testing.assert_array_equal(np.isnan(written), readings == limit)
+
+
+@pytest.mark.parametrize("gain", [8.0, 40.0])
+def test_turns_beyond_the_range_are_clipped_and_not_lost(
+    gain: float, device: tuple[Array, dict[str, float]], tmp_path: Path
+) -> None:
+    readings = counts(device[0])
+    readings[:, 3:] = np.clip(gain * 131.0 / 65.5 * readings[:, 3:], -32768.0, 32767.0).round()
+    _, faults = new_session(
+        tmp_path / "s", table(tmp_path / "l.csv", f"t,{NAMES}", device[0][:, 0], readings, digits=12)
+    )
+    assert sum("is clipped" in fault for fault in faults) == 3
+
+
+@pytest.mark.parametrize("twice", [lambda rows: np.repeat(rows, 2, axis=0), lambda rows: np.concatenate([rows, rows])])
+@pytest.mark.parametrize("rate", [None, 50.0])
+def test_rows_that_are_twice_in_a_log_are_read_once(
+    twice: Callable[[Array], Array], rate: float | None, device: tuple[Array, dict[str, float]], tmp_path: Path
+) -> None:
+    rows = device[0]
+    draft, faults = new_session(
+        tmp_path / "s", table(tmp_path / "l.csv", f"t,{NAMES}", twice(rows)), Given(sample_rate=rate)
+    )
+    assert not faults
+    assert draft.rate == pytest.approx(50.0)
+    assert draft.times.stamped
+    said = f"rows: {len(rows)} of {2 * len(rows)} are in the log twice, with the same time and readings: left out"
+    assert said in draft.remarks
 
 
 @pytest.mark.parametrize(("name", "rows_each"), [("k", 1), ("k", 300), ("id", 300), ("id", 100_000)])

@@ -18,6 +18,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.session import USUAL_CLOCK_U, USUAL_RATE_U, Session
 from tumble.recording.session_file import read_session
 from tumble.recording.text.text_log import TextLog
+from tumble.run.calibrate import calibrate
 from tumble.run.observed import inspect_session
 from tumble.simulation.session import simulate_session
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS
@@ -135,14 +136,27 @@ def test_a_device_in_motion_shows_the_units_and_columns_of_its_gyros(motion: Mot
     session, said = drafted(counts, tmp_path / "counts")
     assert session.log.gyro is not None
     np.testing.assert_array_equal(session.log.gyro.scale, 65.5)
-    assert not session.log.doubt
+    assert not session.log.doubts
     for unit, per in (("rad/s", 1.0), ("deg/s", 1.0 / DEGREE)):
         session, said = drafted(scaled(log, 1.0, per), tmp_path / unit[:3])
         assert session.log.gyro is not None
         assert session.log.gyro.unit_name == unit
-        assert not session.log.doubt
+        assert not session.log.doubts
         assert "look at this" not in said
     assert "only where the gyro columns x and y are exchanged" in drafted(exchanged, tmp_path / "exchanged")[1]
+
+
+def test_the_doubt_about_a_unit_ends_where_the_recording_determines_the_scale(tmp_path: Path) -> None:
+    """A hand moves too much to show the vertical, but the calibration determines the scale to 0.01 %."""
+    made = record(Motion(sway=0.1, frequency=1.5, lever=(0.0, 0.0, 0.0)), 3, rate=100.0)
+    readings = np.hstack([made.accel / G_STANDARD, made.gyro / DEGREE])
+    log = pl.DataFrame(readings, schema=named("a", "g")).with_row_index("t").with_columns(pl.col("t") / made.rate)
+    session, _ = drafted(log, tmp_path, "--latitude", "55", "--height", "100")
+    assert session.log.gyro is not None
+    assert session.log.gyro.doubt.startswith("gyros in deg/s by a guess, rad/s would fit too")
+    calibration = calibrate(session)
+    assert calibration.outcome.verdict == "accepted"
+    assert calibration.provenance.doubts == ()
 
 
 def test_counts_of_gyros_without_turns_get_no_scale_and_the_user_is_told(

@@ -11,7 +11,7 @@ import pytest
 
 from tumble.diagnosis.turn_likelihood import WIDTHS
 from tumble.drafting.dialects import copy_as_tables, values_by_name
-from tumble.drafting.draft import Draft
+from tumble.drafting.foreign_log import Draft
 from tumble.drafting.hypotheses import Evidence, length_and_zero, ranked_hypotheses
 from tumble.drafting.new_session import Given, new_session
 from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column, times_without_column

@@ -55,7 +55,7 @@ def check_read(folder: Path, logs: Path | Sequence[Path], rows: Array) -> str:
     assert observed.rate == pytest.approx(1.0 / np.diff(rows[:, 0]).mean(), rel=0.01)
     assert observed.observations is not None
     assert observed.observations.turns is not None
-    return observed.session.log.doubt
+    return "; ".join(observed.session.log.doubts)
 
 
 G, D = 1.0 / G_STANDARD, 1.0 / DEGREE
@@ -332,7 +332,7 @@ def test_a_doubt_ends_where_the_user_states_what_is_known(still: Array, tmp_path
     for number, (given, doubted) in enumerate(((Given(), True), (Given(gyro_unit="deg/s", accel_unit="g"), False))):
         draft, _ = new_session(tmp_path / str(number), log, given)
         assert bool(draft.doubts) == doubted
-        assert read_session(tmp_path / str(number)).log.doubt == "; ".join(draft.doubts)
+        assert read_session(tmp_path / str(number)).log.doubts == draft.doubts
 
 
 # -------------------- times and rows as some programs write them --------------------

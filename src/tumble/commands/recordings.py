@@ -15,7 +15,7 @@ from tumble.commands import console, params
 from tumble.errors import GyrosAloneError, InputError, tables_at
 
 if TYPE_CHECKING:
-    from tumble.drafting.draft import Draft
+    from tumble.drafting.foreign_log import Draft
     from tumble.drafting.new_session import Given
     from tumble.run.gyros_alone import GyroRests
 
@@ -122,7 +122,6 @@ def gyros_of(log: Path, given: Given) -> GyroRests:
         (draft,) = _drafts([log], Path(folder), given)
         content: dict[str, Any] = dict(draft.content)
         content["device"] = {"serial": given.serial or log.stem}
-        content["log"] = dict(content["log"]) | ({"doubt": "; ".join(draft.doubts)} if draft.doubts else {})
         return gyro_rests(session_of_gyros(content), console.with_progress)
 
 
@@ -152,7 +151,7 @@ def inspect(recording: Path, picture: Path | None, **options: Any) -> None:
     if picture is not None:
         plot(observed, picture)
         console.say(f"written to {picture}")
-    doubt = observed.session.log.doubt
+    doubt = "; ".join(observed.session.log.doubts)
     console.show(observed, lambda: [*inspection_blocks(observed), *[f"doubt: {doubt}"] * bool(doubt)])
     for fault in (*observed.faults, *observed.gyro_faults, *observed.gyro_bias_faults):
         console.warn(f"fault: {fault}")

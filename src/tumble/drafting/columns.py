@@ -14,15 +14,23 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from tumble.drafting.containers import NAMED, NoLogError, check_format, check_is_text
+from tumble.drafting.containers import NAMED, NoLogError, check_format
 from tumble.drafting.dialects import copy_as_tables
 from tumble.drafting.foreign_log import HEAD_ROWS, LONGEST, SAMPLE_ROWS, ForeignLog, StatedColumns
 from tumble.drafting.repairs import nanoseconds_column, with_signs
-from tumble.drafting.sensors_apart import are_sensors_apart, join_sensors, of_one_device
+from tumble.drafting.sensors_apart import are_sensors_apart, join_sensors, of_one_device, of_one_group
 from tumble.drafting.times import grows_mostly, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, GYRO, columns_by_name, is_no_sensor, time_unit, unit_of_name
+from tumble.recording.columns.names import (
+    ACCEL,
+    GYRO,
+    MAGNETOMETER,
+    columns_by_name,
+    is_no_sensor,
+    time_unit,
+    unit_of_name,
+)
 from tumble.recording.columns.numbers import columns_by_data, grows, guess_remarks, time_by_data
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
@@ -53,7 +61,9 @@ def identify_log(
     # text without rows, such as the metadata of a phone, is left out
     for file in files:
         try:
-            logs += [log.with_stated(stated, units) for log in _logs_in(file, folder)]
+            read = _logs_in(file, folder)
+            read = read if ACCEL in stated else [of_one_group(log, _numeric_columns(log), instance) for log in read]
+            logs += [log.with_stated(stated, units) for log in read]
         except NoLogError as error:
             errors.append(error)
             omitted += (f"{file.name} has no rows of readings and is left out",)
@@ -61,9 +71,14 @@ def identify_log(
         raise errors[0]
     logs = [of_one_device(log, _numeric_columns(log), instance) for log in logs]
     logs = [_without_empty_thermometers(_with_finest_time(log)) for log in logs]
-    parts = _parts_with_own_times(logs[0]) or _parts_in_own_rows(logs[0]) if len(logs) == 1 else []
+    parts = _parts_with_own_times(logs[0]) if len(logs) == 1 else []
     if parts or are_sensors_apart(logs):
-        joined = join_sensors(parts or logs, folder)
+        joined, columns = join_sensors(parts or logs, folder), logs[0].columns
+        unused = [
+            *columns.temperatures,
+            *(columns.triads[MAGNETOMETER].columns if MAGNETOMETER in columns.triads else ()),
+        ]
+        omitted += (f"also there, and not used: {', '.join(unused)}",) if parts and unused else ()
         return replace(joined, remarks=(*joined.remarks, *omitted))
     named = [log for log in logs if ACCEL in log.columns.triads]
     without_accel = [log for log in logs if named and log not in named and not log.unnamed]
@@ -102,7 +117,8 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
         start = stream.read(SEEN_BYTES)
     if not start:
         raise NoLogError(f"{file}: expected a log, found an empty file")
-    check_is_text(file, start)
+    if start.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"{", b"[") and start.count(b"\n") < 3:
+        raise InputError(f"{file}: expected rows of readings, found a document of JSON; write the readings as CSV")
     if (copied := copy_as_tables(file, start, folder)) is not None:
         parts, remarks = copied
         return [replace(log, remarks=(*remarks, *log.remarks)) for part in parts for log in _logs_in(part, folder)]
@@ -232,30 +248,25 @@ def _without_empty_thermometers(log: ForeignLog) -> ForeignLog:
 
 
 def _parts_with_own_times(log: ForeignLog) -> list[ForeignLog]:
-    """Return a log for each kind of sensor if each kind has a time of its own before its columns."""
-    names, numeric, parts = list(log.names), _numeric_columns(log), list[ForeignLog]()
-    for kind, sensors in log.columns.triads.items():
-        if kind not in (ACCEL, GYRO):
-            continue
+    """Return a log for each kind of sensor if each kind has its own times: in a column before those of the sensors, or
+    in rows of its own, so that at most each second row has readings of all."""
+    names, numeric = list(log.names), _numeric_columns(log)
+    parts = [log.with_columns(triads={k: log.columns.triads[k]}) for k in (ACCEL, GYRO) if k in log.columns.triads]
+    timed, triads = list[ForeignLog](), [next(iter(part.columns.triads.values())) for part in parts]
+    for part, sensors in zip(parts, triads, strict=True):
         first = min(map(names.index, sensors.columns))
         before = names[first - 1] if first else ""
         stamps = log.read([before])[:, 0] if before in numeric else np.empty(0)
-        if not grows(stamps) or not grows_mostly(stamps):
-            return []
-        unit = log.columns.time_unit if before.isdecimal() else time_unit(before)
-        parts.append(log.with_columns(time=before, time_unit=unit, triads={kind: sensors}))
-    return parts if len({part.columns.time for part in parts}) > 1 else []
-
-
-def _parts_in_own_rows(log: ForeignLog) -> list[ForeignLog]:
-    """Return a log for each kind of sensor if most rows have readings of one kind only."""
-    triads = {kind: log.columns.triads[kind] for kind in (ACCEL, GYRO) if kind in log.columns.triads}
-    if len(triads) < 2 or log.columns.time is None:
+        if grows(stamps) and grows_mostly(stamps):
+            unit = log.columns.time_unit if before.isdecimal() else time_unit(before)
+            timed.append(part.with_columns(time=before, time_unit=unit))
+    if len(timed) == len(parts) and len({part.columns.time for part in timed}) > 1:
+        return timed
+    if len(parts) < 2 or log.columns.time is None:
         return []
-    read = np.array([np.isfinite(log.read(s.columns, rows=HEAD_ROWS)).all(axis=1) for s in triads.values()])
-    if 2 * np.count_nonzero(read.all(axis=0)) >= np.count_nonzero(read.any(axis=0)) or not read.any(axis=1).all():
-        return []
-    return [log.with_columns(triads={kind: sensors}) for kind, sensors in triads.items()]
+    read = np.array([np.isfinite(log.read(sensors.columns, rows=HEAD_ROWS)).all(axis=1) for sensors in triads])
+    of_both, of_any = np.count_nonzero(read.all(axis=0)), np.count_nonzero(read.any(axis=0))
+    return parts if 2 * of_both <= of_any + 1 and read.any(axis=1).all() else []
 
 
 def _with_time(log: ForeignLog) -> ForeignLog:

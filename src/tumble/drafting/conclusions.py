@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_text
-from tumble.drafting.draft import Draft
-from tumble.drafting.foreign_log import linear_acceleration
+from tumble.drafting.foreign_log import Draft, linear_acceleration
 from tumble.drafting.hypotheses import Evidence, Hypothesis, gather_evidence, ranked_hypotheses
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO, WITHOUT_GRAVITY
@@ -46,8 +45,12 @@ def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS) ->
             log |= {"clock_ppm_u": round(1e6 * min(rate_u, 1.0))} if rate_u > USUAL_RATE_U else {}
         log[GYRO], gyro_remarks = _gyro_table(draft, best, best.gyro, evidence, rivals)
         remarks += gyro_remarks
-    doubts = (*_doubts_of_gravity(draft, best, evidence), *_doubts_of_units(draft, log, best, rivals), *draft.doubts)
-    log |= {"doubt": "; ".join(doubts)} if doubts else {}
+    of_gravity, of_units = _doubts_of_gravity(draft, best, evidence), list(_doubts_of_units(draft, log, best, rivals))
+    of_log = (*of_gravity, *(doubt for kind, doubt in of_units if not kind), *draft.doubts)
+    log |= {"doubt": "; ".join(of_log)} if of_log else {}
+    for kind, doubt in of_units:
+        log |= {kind: log[kind] | {"doubt": doubt}} if kind else {}
+    doubts = (*(doubt for kind, doubt in of_units if kind), *of_log)
     content = {**draft.content, "log": log}
     out = replace(draft, content=content, remarks=(*draft.remarks, *remarks), doubts=doubts, rate=best.times.rate)
     if ACCEL not in draft.triads:
@@ -99,8 +102,11 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> It
 
 def _doubts_of_units(
     draft: Draft, log: Mapping[str, Any], best: Hypothesis, rivals: Sequence[Hypothesis]
-) -> Iterator[str]:
-    """Yield doubts about units and the rate: the consequence of each, and the option that settles it."""
+) -> Iterator[tuple[str, str]]:
+    """Yield doubts about units and the rate, with the consequence of each and the option that settles it.
+
+    A doubt that ends where a recording determines the scale of sensors comes with their kind, others with ""."""
+    rates = [h.times.rate for h in rivals if "time" in h.differs(best)]
     for kind, sensors, scale in ((ACCEL, "accelerometers", best.accel), (GYRO, "gyros", best.gyro)):
         if scale is None or kind not in draft.triads:
             continue
@@ -115,27 +121,29 @@ def _doubts_of_units(
             values = list(dict.fromkeys(value for value, _ in pairs))[:_MOST_RIVALS]
             fitting = ", ".join(f"{value:g} per deg/s at {rate_of[value]:g} Hz" for value in values)
             yield (
+                "",
                 f"the rate of the samples is unknown, and with it the scale of the gyros' counts ({fitting} fit): "
-                f"{only}state --sample-rate"
+                f"{only}state --sample-rate",
             )
             return
         if unscaled:
             yield (
+                "",
                 f"no turn determines the scale of the gyros' counts: {only}noise is given as if a count were 1 deg/s; "
-                "put the scale of the data sheet into [log.gyro]"
+                "put the scale of the data sheet into [log.gyro]",
             )
         elif others and draft.unit(kind) is None:
             yield (
+                "" if draft.rate_guessed or rates else kind,  # turns determine the product of scale and rate
                 f"{sensors} in {scale.label} by a guess, {others} would fit too: all their values depend on it; state "
-                f"--{kind}-unit"
+                f"--{kind}-unit",
             )
-    rates = [h.times.rate for h in rivals if "time" in h.differs(best)]
     if draft.rate_guessed or rates:
         how = "by the turns" if best.profile is not None else "by a guess"
         others = ", ".join(f"{rate:g}" for rate in list(dict.fromkeys(rates))[:_MOST_RIVALS])
         also = f", {others} would fit too" if rates else ""
         follows = "the gyros' scale factors depend" if best.gyro is not None else "the length of rests depends"
-        yield f"{best.times.rate:g} samples per second {how}{also}: {follows} on it; state --sample-rate"
+        yield "", f"{best.times.rate:g} samples per second {how}{also}: {follows} on it; state --sample-rate"
 
 
 def _time_remarks(draft: Draft, best: Hypothesis) -> list[str]:

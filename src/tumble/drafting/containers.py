@@ -101,9 +101,3 @@ def check_format(file: Path, *, recording: bool) -> None:
             f"{file}: expected a log, found bytes that are no text, of a format unknown here; "
             "export its readings as CSV"
         )
-
-
-def check_is_text(file: Path, start: bytes) -> None:
-    """Raise InputError for a text that is one document of JSON."""
-    if start.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"{", b"[") and start.count(b"\n") < 3:
-        raise InputError(f"{file}: expected rows of readings, found a document of JSON; write the readings as CSV")

@@ -279,11 +279,18 @@ def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
     dialect, top = dialect_and_top
     lines = start.decode(dialect.encoding, errors="replace").split("\n")[top.lines : -1]
     rows = [cells for line in lines if len(cells := dialect.cells(line)) == len(top.names)]
-    labels = [j for j in range(len(top.names)) if _are_sensor_labels([cells[j] for cells in rows], dialect)]
-    if not labels:
+    for label in range(len(top.names)):
+        column = [cells[label] for cells in rows]
+        words, changes = set(column), sum(a != b for a, b in pairwise(column))
+        if (
+            2 <= len(words) <= _MOST_SENSORS
+            and 4 * changes > len(column)
+            and not any(not word or dialect.is_number(word) or is_clock(word) for word in words)
+            and any(SENSOR_WORDS[ACCEL].search(word) or _IMU.fullmatch(word) for word in words)
+        ):
+            break  # alternating names of sensors
+    else:
         return None
-    label = labels[0]
-    words = {cells[label] for cells in rows}
     imu_words = {word for word in words if _IMU.fullmatch(word)}
     names = [name for j, name in enumerate(top.names) if imu_words or j != label] if dialect.header else []
     if not (imu_words or names):
@@ -302,17 +309,6 @@ def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
                 yield word, [cell.replace(",", ".") for cell in cells]
 
     return TextForm(rows=rows_of, names=dict.fromkeys(words, names))
-
-
-def _are_sensor_labels(words: Sequence[str], dialect: Dialect) -> bool:
-    """Return whether cells are alternating names of sensors, including accelerometers or an IMU."""
-    counts, changes = Counter(words), sum(a != b for a, b in pairwise(words))
-    return (
-        2 <= len(counts) <= _MOST_SENSORS
-        and 4 * changes > len(words)
-        and not any(not word or dialect.is_number(word) or is_clock(word) for word in counts)
-        and any(SENSOR_WORDS[ACCEL].search(word) or _IMU.fullmatch(word) for word in counts)
-    )
 
 
 # -------------------- copies --------------------

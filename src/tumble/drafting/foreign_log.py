@@ -1,4 +1,4 @@
-"""A log of unknown origin: its files, their dialect, and its columns by kind."""
+"""A log of unknown origin, with its files, their dialect and its columns by kind, and the draft of a session for it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
 
-from tumble.drafting.times import Stamps, Times, is_rounded, times_of_column, times_without_column
+from tumble.drafting.times import ASSUMED_RATE, Stamps, Times, at_rate, times_of_column, times_without_column
 from tumble.errors import GyrosAloneError, InputError, LogError, did_you_mean
 from tumble.recording.columns.names import (
     ACCEL,
@@ -30,6 +31,8 @@ from tumble.recording.log_source import LogSource
 from tumble.recording.readers import source_of
 from tumble.recording.rows.gaps import is_reading
 from tumble.recording.rows.timed import past_midnight
+from tumble.recording.session import USUAL_RATE_U, Session
+from tumble.recording.session_file import session_of, session_of_gyros
 from tumble.recording.text.dialect import Dialect, is_clock
 from tumble.reduction.blocks.tuning import USUAL
 from tumble.units import Array
@@ -159,7 +162,10 @@ class ForeignLog:
     def times(self, rate: float | None) -> Times:
         """Return the times of the rows; a stated `rate`, Hz, replaces a time column unless that shows the same rate."""
         if rate is not None:
-            shown = [t for t in self.stamped_times() if t.even and is_rounded(rate, t.rate)]
+            # the rate given may be rounded to its digits
+            last_digit = 10.0 ** min(int(Decimal(str(rate)).normalize().as_tuple().exponent), 0)
+            tolerance = min(0.5 * last_digit, USUAL_RATE_U * rate)
+            shown = [t for t in self.stamped_times() if t.even and abs(t.rate - rate) <= tolerance]
             if not shown:
                 return times_without_column(rate, ())
             remark = f"time: the column shows the rate given, {rate:g}"
@@ -263,6 +269,57 @@ class ForeignLog:
             remedy = "state which they are (--accel N,N,N, names or numbers from 1)"
         kind = GyrosAloneError if GYRO in triads else InputError
         raise kind(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Draft:
+    """Known content of a session.toml, and how each part was found.
+
+    `doubts` are uncertainties, each with its consequence and the option that settles it. `magnetometer` is the table
+    [log.magnetometer], written as a comment because nearby iron disturbs its readings. `whole` is True for kinds of
+    sensors that read whole numbers only; `rate` is in Hz. `magnitude` is the median length of accelerometer readings in
+    the first rows, `largest` that of large gyro readings, both as written; `step` is the resolution of a data sheet,
+    °/s, of which their readings are multiples. `kept` are readers of files by path."""
+
+    content: Mapping[str, Any]
+    remarks: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
+    magnetometer: Mapping[str, Any] | None = None
+    triads: Mapping[str, Sensors] = field(default_factory=dict)
+    times: Times = field(default_factory=lambda: at_rate(ASSUMED_RATE, 0.0))
+    whole: Mapping[str, bool] = field(default_factory=dict)
+    rate: float = 1.0
+    magnitude: float = 1.0
+    largest: float = 0.0
+    step: float | None = None
+    kept: Mapping[Path, LogSource] = field(default_factory=dict)
+
+    @property
+    def log(self) -> Mapping[str, Any]:
+        """The table [log]."""
+        table: Mapping[str, Any] = self.content["log"]
+        return table
+
+    @property
+    def rate_guessed(self) -> bool:
+        """Whether neither a column nor the user states the rate."""
+        return bool(self.times.rivals) and not self.times.stamped
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Paths of the files of the log."""
+        file = self.log["file"]
+        return tuple(map(Path, [file] if isinstance(file, str) else file))
+
+    def unit(self, kind: str) -> str | None:
+        """Return the unit in the column names of a kind of sensor."""
+        return self.triads[kind].unit
+
+    def session(self) -> Session:
+        """Return the session of the content, without reading files again."""
+        session = session_of(self.content) if "accel" in self.log else session_of_gyros(self.content)
+        files = tuple(self.kept.get(Path(str(file)), file) for file in session.log.files)
+        return replace(session, log=replace(session.log, files=files))
 
 
 def linear_acceleration(file: Path, columns: Sequence[str]) -> InputError:

@@ -36,7 +36,7 @@ from tumble.diagnosis.turn_likelihood import (
     least_cost,
     turn_likelihoods,
 )
-from tumble.drafting.draft import Draft
+from tumble.drafting.foreign_log import Draft
 from tumble.drafting.times import ASSUMED_RATE, RATE_LIMITS, UNUSUAL_SHARE, USUAL_RATES, Times, at_rate
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
@@ -49,7 +49,6 @@ from tumble.recording.columns.scales import (
     SCALE_TOLERANCE,
     UNLISTED_COUNTS,
     SensorScale,
-    log_distance_to_table,
 )
 from tumble.recording.log import open_log
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
@@ -230,7 +229,8 @@ def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float
     if len(means) >= 4:
         alike = float(np.linalg.norm(means.std(axis=0))) < _ALIKE * length
         singular = np.linalg.svd(means - means.mean(axis=0), compute_uv=False)
-        in_table = alike and log_distance_to_table(ACCEL, length) < SCALE_TOLERANCE
+        nominal_lengths = np.array([scale.value for scale in CANDIDATES[ACCEL] if not scale.increment])
+        in_table = alike and np.abs(np.log(length / nominal_lengths)).min() < SCALE_TOLERANCE
         if singular[2] > _LEAST_SINGULAR * singular[0] and not in_table:
             centre, radius = sphere_through(means)
             uneven = float(np.linalg.norm(means - centre, axis=1).std()) / radius

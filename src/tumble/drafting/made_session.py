@@ -50,7 +50,12 @@ def session_of_log(
     for ending in (".gz", ".zst"):
         stem = stem.removesuffix(ending)
     stem = Path(f"_{stem}").stem[1:].lstrip("-. ") or "log"  # neither hidden nor like an option
-    digest = _digest(log)
+    sha256 = hashlib.sha256()
+    for file in files_of(log):
+        for part in sorted(p for p in file.rglob("*") if p.is_file()) if file.is_dir() else [file]:
+            with readable(part), part.open("rb", buffering=0) as stream:
+                hashlib.file_digest(stream, lambda: sha256)
+    digest = sha256.hexdigest()
     first, second = (log.with_name(f"{name}-session") for name in (stem, f"{stem}-{digest[:8]}"))
     _bring_back(first)
     _bring_back(second)
@@ -161,16 +166,6 @@ def _made(folder: Path) -> dict[str, Any]:
         made = json.loads((folder / MADE).read_bytes()) if (folder / SESSION_FILE).is_file() else {}
         return made if isinstance(made, dict) else {}
     return {}
-
-
-def _digest(log: Path) -> str:
-    """Return the SHA-256 of the content of all files of a log in order."""
-    digest = hashlib.sha256()
-    for file in files_of(log):
-        for part in sorted(p for p in file.rglob("*") if p.is_file()) if file.is_dir() else [file]:
-            with readable(part), part.open("rb", buffering=0) as stream:
-                hashlib.file_digest(stream, lambda: digest)
-    return digest.hexdigest()
 
 
 def _sha256(file: Path) -> str:

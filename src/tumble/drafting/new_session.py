@@ -9,9 +9,11 @@ number, place and programme are in no log; the user fills them in.
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +24,7 @@ from tumble.diagnosis.turn_likelihood import WIDTHS, Widths
 from tumble.drafting.columns import identify_log
 from tumble.drafting.conclusions import complete_draft
 from tumble.drafting.containers import check_format, files_of, unzipped
-from tumble.drafting.draft import Draft, session_text
-from tumble.drafting.foreign_log import HEAD_ROWS, ForeignLog
+from tumble.drafting.foreign_log import HEAD_ROWS, Draft, ForeignLog
 from tumble.drafting.repairs import repair_log
 from tumble.drafting.sensors_apart import CORE_MOTION, log_of_recording
 from tumble.errors import InputError, LogError, did_you_mean
@@ -35,6 +36,7 @@ from tumble.recording.formats import PX4_CORRECTED, is_recording
 from tumble.recording.log import Log
 from tumble.recording.session import USUAL_RATE_U, AutopilotSensor, sensors_content
 from tumble.recording.session_file import SESSION_FILE
+from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.run.observed import Progress
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, TEMPERATURE_UNITS
 
@@ -155,12 +157,31 @@ def new_session(
 def written_session(
     folder: OutputFolder, logs: FilePath | Sequence[FilePath], given: Given, progress: Progress, widths: Widths = WIDTHS
 ) -> tuple[Draft, list[str]]:
-    """Run `new_session` in a folder; if it fails the caller must remove new files."""
+    """Run `new_session` in a folder; if it fails the caller must remove new files.
+
+    The text is session.toml.j2, in which numbers, strings and lists are written as in JSON and TOML alike."""
+    from jinja2 import Environment
+
     path = folder.path / SESSION_FILE
     if path.exists():
         raise InputError(f"{path}: expected a folder without a session, found one; choose another folder")
     draft, faults = drafted_log(folder, logs, given, progress, widths)
-    text = session_text(draft, folder.path, given.programme, named=bool(given.serial))
+    environment = Environment(trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True, autoescape=False)
+    environment.filters["toml"] = partial(json.dumps, ensure_ascii=False)
+    template = environment.from_string((Path(__file__).parent / "session.toml.j2").read_text(encoding="utf-8"))
+    files = [os.path.relpath(file, folder.path.resolve()) for file in draft.files]
+    log: dict[str, Any] = {"file": files[0] if len(files) == 1 else files}
+    keys = *DIALECT_KEYS, "time", "time_unit", "regular", "rate_hz", "clock_ppm_u", "doubt"
+    text = template.render(
+        device=draft.content["device"],
+        site=draft.content.get("site", {}),
+        log=log | {key: draft.log[key] for key in keys if key in draft.log},
+        doubted=bool(draft.doubts),
+        tables={kind: draft.log[kind] for kind in ("accel", "gyro", "temperature") if kind in draft.log},
+        magnetometer=draft.magnetometer,
+        programme=given.programme,
+        named=bool(given.serial),
+    )
     with whole_file(folder.new_file(SESSION_FILE)) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return draft, faults
@@ -199,8 +220,7 @@ def drafted_log(
     else:
         log, imu = log_of_recording(recordings, folder, given.message)
     rate = given.sample_rate
-    is_shown = rate is not None and log.times(rate).stamped
-    draft = _draft_of_raw_numbers(repair_log(log, folder, None if is_shown else rate), rate)
+    draft = _draft_of_raw_numbers(repair_log(log, folder, rate), rate)
     place = {"latitude_deg": given.latitude, "height_m": given.height}
     site = {key: value for key, value in place.items() if value is not None}
     serial = given.serial or folder.path.resolve().name or "unknown"
@@ -208,10 +228,7 @@ def drafted_log(
     draft = replace(draft, content={**draft.content, "device": device, "site": site})
     draft.session()  # checks the content
     draft, faults = complete_draft(draft, progress, widths)
-    if ACCEL not in draft.triads:
-        return draft, faults
-    draft = _with_apple_sign(draft)
-    return draft, faults
+    return _with_apple_sign(draft), faults
 
 
 # -------------------- names and first numbers --------------------
@@ -220,10 +237,20 @@ def drafted_log(
 def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     """Return a draft from names and first numbers, with sensors as raw numbers."""
     columns, times = log.columns, log.times(rate)
-    remarks, doubts = list(log.remarks), (*_doubts_of_corrected(log), *log.doubts)
+    remarks, doubts = list(log.remarks), list(log.doubts)
+    for name, sentence in _CORRECTED.items():
+        counters = [c for c in _PX4_COUNTERS if c in log.names]  # of calibrations; 0 without any
+        uncorrected = len(counters) == len(_PX4_COUNTERS) and not log.read(counters).any()
+        corrected = any(name in sensors.columns for sensors in columns.triads.values()) and not uncorrected
+        doubts = [sentence] * corrected + doubts
     if rate is not None and columns.time is not None and not times.stamped:
         remarks.append(f"time: column {columns.time!r} is not used, since the rate was given")
-        doubts = (*doubts, *_contradicted_rate(log, rate))
+        shown = [each.rate for each in log.stamped_times()]
+        if shown and all(abs(each - rate) > USUAL_RATE_U * rate for each in shown):
+            doubts.append(
+                f"--sample-rate {rate:g} is taken as stated, but the times in {columns.time!r} show {shown[0]:.4g} per "
+                "second: the gyros' scale factors depend on it; leave --sample-rate out if the times are right"
+            )
     remarks += [f"also there, and not used: {', '.join(columns.others)}"] if columns.others else []
     triads = {kind: columns.triads[kind] for kind in (ACCEL, GYRO) if kind in columns.triads}
     head = {kind: log.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in triads.items()}
@@ -250,7 +277,7 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     return Draft(
         content={"format": 1, "device": {"serial": "unknown"}, "log": table},
         remarks=(*remarks, *magnetometer_remarks),
-        doubts=doubts,
+        doubts=tuple(doubts),
         magnetometer=magnetometer,
         triads=triads,
         times=times,
@@ -263,36 +290,18 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     )
 
 
-def _doubts_of_corrected(log: ForeignLog) -> Iterator[str]:
-    """Yield doubts about readings that a flight controller has corrected, by the names of their columns."""
-    columns = [column for sensors in log.columns.triads.values() for column in sensors.columns]
-    for name, sentence in _CORRECTED.items():
-        counters = [c for c in _PX4_COUNTERS if c in log.names]  # of calibrations; 0 without any
-        if name in columns and not (len(counters) == len(_PX4_COUNTERS) and not log.read(counters).any()):
-            yield sentence
-
-
-def _contradicted_rate(log: ForeignLog, rate: float) -> Iterator[str]:
-    """Yield a doubt if a stated sample rate, Hz, contradicts the log's time column in every possible unit."""
-    rates = [each.rate for each in log.stamped_times()]
-    if rates and all(abs(shown - rate) > USUAL_RATE_U * rate for shown in rates):
-        yield (
-            f"--sample-rate {rate:g} is taken as stated, but the times in {log.columns.time!r} show {rates[0]:.4g} per "
-            "second: the gyros' scale factors depend on it; leave --sample-rate out if the times are right"
-        )
-
-
 def _with_apple_sign(draft: Draft) -> Draft:
     """Set the sign of accelerometers named as in Apple's CoreMotion, which read −1 g on the axis that points up.
 
     A recording cannot determine it, because gyros predict both directions of the vertical alike. Source: Apple,
     CMAccelerometerData and CMMotionManager, Core Motion."""
-    accel = draft.log["accel"]
+    accel = draft.log.get(ACCEL, {"unit": None})
     if accel["unit"] != "g" or not all(map(CORE_MOTION.fullmatch, accel["columns"])):
         return draft
     table = {"columns": accel["columns"], "unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
     remark = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"
-    return draft.with_log([remark], accel=table)
+    content = {**draft.content, "log": {**draft.log, ACCEL: table}}
+    return replace(draft, content=content, remarks=(*draft.remarks, remark))
 
 
 def _temperature_table(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:

@@ -1,6 +1,6 @@
-"""Repaired copies of logs that a session file cannot describe: 16-bit numbers read as unsigned, times in ticks,
-intervals or seconds and nanoseconds, counters that overflow, rows in reverse order or without samples, and successive
-positions."""
+"""Repaired copies of logs that a session file cannot describe: 16-bit numbers read as unsigned, integers that stand for
+no reading, times in ticks, intervals or seconds and nanoseconds, counters that overflow, rows in reverse order, twice
+or without samples, and successive positions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tumble.recording.formats import TIME
 from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import GAP_STEP
 from tumble.recording.rows.timed import past_midnight
-from tumble.units import TIME_UNITS, Array
+from tumble.units import TIME_UNITS, Array, BoolArray
 
 _XSENS_TICK = 1e-4  # s, of SampleTimeFine
 _NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
@@ -42,14 +42,14 @@ Repair = tuple[str, Callable[[pl.DataFrame], pl.DataFrame]]
 def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> ForeignLog:
     """Return a log that a session file can describe: the log itself, or a repaired copy in the folder.
 
-    A `rate`, Hz, stated by the user replaces time stamps. Raises InputError for sensors without numbers, and for
-    positions of too few rows."""
+    A `rate`, Hz, stated by the user replaces time stamps that show another one. Raises InputError for sensors without
+    numbers, and for positions of too few rows."""
     triads = log.columns.triads
     for kind, sensors in triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
+    time = [column for column in (log.columns.time, nanoseconds_column(log)) if column is not None]
     if log.instance:
-        time = [column for column in (log.columns.time, nanoseconds_column(log)) if column is not None]
         ((column, value),) = log.instance.items()
         repair = f"rows: those with {value:g} in column {column!r}, of one device", log.rows_of_instance
         return repair_log(_copy(log, folder, [*time, column], [repair]), folder, rate)
@@ -57,7 +57,10 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
     if stamps is not None and len(stamps.values) >= _FEWEST_ROWS and grows_mostly(-stamps.values):
         remark = f"time: column {stamps.column!r} falls from row to row: rows put in the order of time"
         return repair_log(_copy(log, folder, [stamps.column], [(remark, pl.DataFrame.reverse)]), folder, rate)
-    repairs = _leave_out_other_rows(log) + _restore_signs(log)
+    if copies := _copied_rows(log, time):
+        return repair_log(_copy(log, folder, time, copies), folder, rate)
+    rate = None if rate is not None and log.times(rate).stamped else rate
+    repairs = _leave_out_other_rows(log) + _mend_readings(log)
     time, in_seconds, time_repairs = _repair_time(log, rate)
     parts, why = None, ""
     untouched = len(log.files) == 1 and not (repairs or time_repairs) and rate is None
@@ -132,6 +135,20 @@ def _leave_out_other_rows(log: ForeignLog) -> list[Repair]:
         return []
     remark = f"rows: {blank} of {len(whole)} have no readings of these sensors, as rows of others: left out"
     return [(remark, lambda rows: rows.filter(pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE))]
+
+
+def _copied_rows(log: ForeignLog, time: list[str]) -> list[Repair]:
+    """Leave out rows that are in a log twice, with one time stamp and equal readings.
+
+    Where a clock is coarse, stamps repeat with other readings."""
+    columns = [*time, *(column for triad in log.columns.triads.values() for column in triad.columns)]
+    rows = pl.DataFrame(log.read(columns), schema=columns, orient="row")
+    repeated = _BLANK_SHARE * rows.height
+    stamps = rows.select(time).n_unique() if time else rows.height
+    if rows.height - stamps <= repeated or (different := rows.n_unique()) - stamps > repeated:
+        return []
+    copies = f"{rows.height - different} of {rows.height} are in the log twice, with the same time and readings"
+    return [(f"rows: {copies}: left out", lambda rows: rows.unique(columns, maintain_order=True))]
 
 
 def _repair_time(log: ForeignLog, rate: float | None) -> tuple[list[str], bool, list[Repair]]:
@@ -224,13 +241,54 @@ def with_signs(columns: Array) -> Array:
     return np.where(columns >= _SIGN, columns - _WRAP, columns) if _are_unsigned(columns) else columns
 
 
-def _restore_signs(log: ForeignLog) -> list[Repair]:
-    """Subtract 65536 from negative 16-bit numbers that were read as unsigned."""
-    triads = [triad.columns for triad in log.columns.triads.values() if _are_unsigned(log.read(triad.columns))]
-    names = [name for columns in triads for name in columns]
-    remark = f"{', '.join(names)}: 16-bit numbers read without their sign: 65536 taken off where it is due"
-    restore = pl.col(names) - _WRAP * (pl.col(names) >= _SIGN)
-    return [(remark, lambda rows: rows.with_columns(restore))] if names else []
+# -------------------- integers that stand for no reading --------------------
+
+_LIMITS = (-(2.0**15), 2.0**15 - 1.0, -(2.0**31), 2.0**31 - 1.0)
+"""Smallest and largest integers of 16 and 32 bits."""
+_UNLED = 2.0  # steps to a limit over the largest other step; at most 1.1 in turns of up to 80 times the range
+
+
+def stand_for_none(columns: Array) -> BoolArray:
+    """Return which integers (m, 3) of one kind of sensor stand for no reading.
+
+    These are limits of 16 or 32 bits to which the readings step, and from which they step back, at least twice as far
+    as anywhere else: a sensor that is driven to its limit approaches it, as the motion does."""
+    at_limit, finite = np.isin(columns, _LIMITS), np.isfinite(columns)
+    if not at_limit.any() or (columns[finite] != np.floor(columns[finite])).any():
+        return np.zeros(columns.shape, dtype=bool)
+    at, steps = np.asarray(at_limit.any(axis=1)), np.linalg.norm(np.diff(columns, axis=0), axis=1)
+    largest = np.max(steps[np.isfinite(steps) & ~(at[1:] | at[:-1])], initial=0.0)
+    for start, stop in np.flatnonzero(np.diff(at, prepend=False, append=False)).reshape(-1, 2).tolist():
+        if min((*steps[max(start - 1, 0) : start], *steps[stop - 1 : stop]), default=0.0) <= _UNLED * largest:
+            at_limit[start:stop] = False
+    return at_limit
+
+
+def _mend_readings(log: ForeignLog) -> list[Repair]:
+    """Restore the signs of 16-bit numbers that were read as unsigned, and mark integers that stand for no reading."""
+    triads, unsigned, marked = [triad.columns for triad in log.columns.triads.values()], list[str](), list[str]()
+    for columns in triads:
+        numbers = log.read(columns)
+        unsigned += columns if _are_unsigned(numbers) else ()
+        numbers = with_signs(numbers)
+        lost = stand_for_none(numbers)
+        limits = " and ".join(f"{limit:.0f}" for limit in np.unique(numbers[lost]))
+        marked += [f"{', '.join(columns)}: {limits} in {lost.any(axis=1).sum()} rows"] if limits else []
+
+    def mended(rows: pl.DataFrame) -> pl.DataFrame:
+        rows = rows.with_columns(pl.col(c) - _WRAP * (pl.col(c) >= _SIGN) for c in unsigned)
+        for columns in triads:
+            numbers = rows.select(columns).to_numpy()
+            numbers = np.where(stand_for_none(numbers), np.nan, numbers)
+            rows = rows.with_columns(pl.DataFrame(numbers, schema=list(columns), orient="row"))
+        return rows
+
+    remarks = [f"{', '.join(unsigned)}: 16-bit numbers read without their sign: 65536 taken off where it is due"]
+    remarks = remarks if unsigned else []
+    if marked:
+        found = f"{'; '.join(marked)}, to which no other readings lead"
+        remarks.append(f"{found}, stand for no reading: lost samples")
+    return [("; ".join(remarks), mended)] if remarks else []
 
 
 # -------------------- positions without turns between them --------------------

@@ -4,7 +4,7 @@ and gyros of a phone in one file each."""
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -24,13 +24,14 @@ from tumble.recording.columns.names import (
     Columns,
     Sensors,
     columns_by_name,
+    groups_by_name,
     is_no_sensor,
     unit_of_name,
 )
 from tumble.recording.columns.numbers import time_by_data
 from tumble.recording.formats import TIME, Message, messages, write_log
 from tumble.recording.session import AutopilotSensor
-from tumble.units import TIME_UNITS, Array
+from tumble.units import TIME_UNITS
 
 _UNCALIBRATED = re.compile(r"uncal", re.IGNORECASE)
 CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
@@ -54,7 +55,11 @@ def log_of_recording(
     if not matching:
         raise InputError(f"{recording}: expected a message {message!r}, found {', '.join(m.name for m in with_accel)}")
     accel = max(matching, key=lambda m: m.gyro is not None) if message is None else matching[0]
-    gyro = accel if accel.gyro else next((m for m in candidates if m.gyro and _belong_together(accel, m)), None)
+    gyro = accel if accel.gyro else None
+    if gyro is None and accel.timed:  # gyros of the same clock, and of the same number if both messages have one
+        number = accel.name.rpartition(".")[2]
+        both = ((m, {number, m.name.rpartition(".")[2]}) for m in candidates if m.gyro and m.timed)
+        gyro = next((m for m, numbers in both if sum(map(str.isdecimal, numbers)) < 2), None)
     taken = [accel] if gyro is None or gyro is accel else [accel, gyro]
     own_temperatures = [m.temperatures for m in taken if m.temperatures]
     one_each = len(own_temperatures) == 2 and max(map(len, own_temperatures)) == 1
@@ -80,13 +85,6 @@ def log_of_recording(
     return ForeignLog(files=(log,), keys={}, columns=columns, remarks=tuple(remarks), doubts=doubts), imu
 
 
-def _belong_together(accel: Message, gyro: Message) -> bool:
-    """Return whether gyros in another message have the same clock, and the same number if both have one."""
-    instances = accel.name.rpartition(".")[2], gyro.name.rpartition(".")[2]
-    same = not all(map(str.isdecimal, instances)) or instances[0] == instances[1]
-    return accel.timed and gyro.timed and same
-
-
 # -------------------- several devices in a table --------------------
 
 _INSTANCE = re.compile(
@@ -97,6 +95,35 @@ _INSTANCE = re.compile(
 _MOST_DEVICES = 8
 _WINDOWS, _FILLED_SHARE = 20, 0.9
 """Windows of a recording, and the least share of them in which a device has half its usual rows or more."""
+
+
+def of_one_group(log: ForeignLog, numeric: Sequence[str], name: str | None) -> ForeignLog:
+    """Return the log with one of several groups of sensors that the names of its columns tell apart.
+
+    `numeric` are the columns of numbers; `name` is that of a group, by default that of the first accelerometers."""
+    named = log.columns
+    roles = [column for column in log.names if column in (*numeric, *named.times)]
+    groups = groups_by_name(roles)
+    if not groups or (name not in (None, *groups) and any(map(_INSTANCE.fullmatch, log.names))):
+        return log
+    accel = columns_by_name(roles, suffixed=True).triads.get(ACCEL)
+    first = [group for group, columns in groups.items() if accel is not None and accel.columns[0] in columns]
+    taken = name or (first or list(groups))[0]
+    log = _with_choice(log, "several groups of sensors by the names of columns", list(groups), taken)
+    others = {column for group, columns in groups.items() if group != taken for column in columns} - {*groups[taken]}
+    found = columns_by_name([column for column in roles if column not in others], suffixed=True)
+    if found.time is None and named.time not in others:  # times of day
+        found = replace(found, time=named.time, time_unit=named.time_unit)
+    return replace(log, columns=found)
+
+
+def _with_choice(log: ForeignLog, several: str, names: Sequence[str], taken: str) -> ForeignLog:
+    """Return the log with a remark on the devices in it. Raises InputError if there is none of the name `taken`."""
+    if taken not in names:
+        raise InputError(f"{log.files[0]}: expected a message {taken!r}, found {', '.join(names)}")
+    others = ", ".join(name for name in names if name != taken)
+    remark = f"{several}, of which {taken} is taken; also there, and not used: {others} (--message takes another)"
+    return replace(log, remarks=(*log.remarks, remark))
 
 
 def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> ForeignLog:
@@ -123,28 +150,16 @@ def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> 
         by_device = [times[table[:, 0] == value] for value in values]
         if not 2 <= len(values) <= _MOST_DEVICES or (values % 1.0).any():
             continue
-        if not all(_lasts(each, times) for each in by_device):
+        counts = [np.histogram(each, _WINDOWS, (times.min(), times.max()))[0] for each in by_device]
+        lasting = [bool(np.mean(2 * count >= count.mean()) >= _FILLED_SHARE) for count in counts]
+        if not (all(lasting) and all(map(grows_mostly, by_device))):
             continue
         if not is_named and (named.time is None or are_even(times) or not all(map(are_even, by_device))):
             continue
         names = [f"{column}.{value:g}" for value in values]
-        if name not in (None, *names):
-            raise InputError(f"{log.files[0]}: expected a message {name!r}, found {', '.join(names)}")
-        first = names.index(name) if name else 0
-        others = ", ".join(other for other in names if other != names[first])
-        remark = f"several devices by column {column!r}, of which {names[first]} is taken"
-        return replace(
-            log,
-            instance={column: float(values[first])},
-            remarks=(*log.remarks, f"{remark}; also there, and not used: {others} (--message takes another)"),
-        )
+        log = _with_choice(log, f"several devices by column {column!r}", names, name or names[0])
+        return replace(log, instance={column: float(values[names.index(name or names[0])])})
     return log
-
-
-def _lasts(times: Array, all_times: Array) -> bool:
-    """Return whether stamps of one device grow, and are as many in all parts of a recording."""
-    counts, _ = np.histogram(times, _WINDOWS, (all_times.min(), all_times.max()))
-    return grows_mostly(times) and bool(np.mean(2 * counts >= counts.mean()) >= _FILLED_SHARE)
 
 
 # -------------------- files of one kind of sensor each --------------------
@@ -160,12 +175,11 @@ def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:
     if any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):
         return False
 
-    def has_room(log: ForeignLog) -> bool:
-        """Return whether there are columns for both kinds, and none named x, y and z alone."""
+    for log in logs:  # columns for both kinds, and none named x, y and z alone
         axes_alone = set("xyz") <= {(name.split() or [""])[0].lower() for name in log.cells}
-        return not axes_alone and sum(not is_no_sensor(name) for name in log.cells) >= 6
-
-    if all(map(has_room, logs)):
+        if axes_alone or sum(not is_no_sensor(name) for name in log.cells) < 6:
+            break
+    else:
         return False
     by_kind = _first_by_kind(logs)
     if set(by_kind) == {ACCEL, GYRO}:
@@ -202,7 +216,10 @@ def join_sensors(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog
     gravity = next((log for log in logs if _GRAVITY.search(log.files[0].stem)), None)
     summed = ""
     if ACCEL in by_kind and gravity is not None and not _reads_gravity(by_kind[ACCEL]):
-        parts[ACCEL] = _sum(parts[ACCEL], _message(gravity, ACCEL))
+        (total,), (more,) = parts[ACCEL].rows(), _message(gravity, ACCEL).rows()  # which a phone writes separately
+        added = [pl.Series(c, total[c] + np.interp(total[TIME], more[TIME], more[c])) for c in parts[ACCEL].columns]
+        summed_rows = total.with_columns(added)
+        parts[ACCEL] = replace(parts[ACCEL], rows=lambda: iter([summed_rows]))
         summed = f", {gravity.files[0].name} added to the accelerometers, which are without gravity"
     if ACCEL in by_kind and all(map(CORE_MOTION.fullmatch, _time_and_axes(by_kind[ACCEL], ACCEL)[1])):
         summed = ", accelerometers of opposite sign, as Apple's CoreMotion has them"
@@ -216,19 +233,6 @@ def join_sensors(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog
     remark = f"{used}: one log at the times of the gyros{summed}, written to {joined}"
     fastest = parts.get(GYRO, first)
     return ForeignLog(files=(joined,), keys={}, columns=columns, remarks=(remark, *others, fastest.remark))
-
-
-def _sum(accel: Message, gravity: Message) -> Message:
-    """Return the sum of acceleration without gravity and gravity, which a phone writes separately."""
-
-    def rows() -> Iterator[pl.DataFrame]:
-        (more,) = gravity.rows()
-        for table in accel.rows():
-            columns = accel.columns
-            added = (pl.Series(c, table[c] + np.interp(table[TIME], more[TIME], more[c])) for c in columns)
-            yield table.with_columns(added)
-
-    return replace(accel, rows=rows)
 
 
 def _time_and_axes(log: ForeignLog, kind: str) -> tuple[ForeignLog, list[str]]:

@@ -11,7 +11,6 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from decimal import Decimal
 from itertools import pairwise
 from typing import Any
 
@@ -20,7 +19,6 @@ import numpy as np
 from tumble.recording.columns.numbers import DATES
 from tumble.recording.columns.scales import FREQUENCIES
 from tumble.recording.rows.timed import leaping
-from tumble.recording.session import USUAL_RATE_U
 from tumble.units import TIME_UNITS, Array
 
 ASSUMED_RATE = 100.0  # Hz
@@ -75,12 +73,6 @@ class Times:
 def at_rate(rate: float, cost: float) -> Times:
     """Return the times of rows without usable stamps, at a rate in Hz."""
     return Times(keys={"rate_hz": rate}, remarks=(), rate=rate, cost=cost)
-
-
-def is_rounded(stated: float, shown: float) -> bool:
-    """Return whether a stated rate, Hz, is the one that stamps show, rounded to the digits stated."""
-    last_digit = 10.0 ** min(int(Decimal(str(stated)).normalize().as_tuple().exponent), 0)
-    return abs(shown - stated) <= min(0.5 * last_digit, USUAL_RATE_U * stated)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -167,7 +167,12 @@ def numbers_of(what: str, given: npt.ArrayLike | None, *, increments: bool = Fal
 
     Raises InputError for anything else, and for columns of a frame with another unit in their names."""
     numbers = array_of(what, given)
-    check_finite(what, numbers)
+    if not np.isfinite(numbers).all():
+        at = tuple(int(i) for i in np.argwhere(~np.isfinite(numbers))[0])
+        where = f"sample {at[0]}" + (f" of sensor {at[1]}" if len(at) > 1 else "")
+        raise InputError(
+            f"{what}: expected finite numbers, found {numbers[at]} in {where} (from 0); cut or fill such samples"
+        )
     for column in map(str, getattr(given, "columns", ()) if what in SI else ()):
         from tumble.recording.columns.names import unit_of_name
 
@@ -179,21 +184,10 @@ def numbers_of(what: str, given: npt.ArrayLike | None, *, increments: bool = Fal
     return numbers
 
 
-def check_finite(what: str, numbers: Array) -> None:
-    """Raise InputError that names the first number that is not finite."""
-    if not np.isfinite(numbers).all():
-        at = tuple(int(i) for i in np.argwhere(~np.isfinite(numbers))[0])
-        where = f"sample {at[0]}" + (f" of sensor {at[1]}" if len(at) > 1 else "")
-        raise InputError(
-            f"{what}: expected finite numbers, found {numbers[at]} in {where} (from 0); cut or fill such samples"
-        )
-
-
 def _series(what: str, given: npt.ArrayLike) -> Array:
-    values = np.squeeze(array_of(what, given))
+    values = np.squeeze(numbers_of(what, given))
     if values.ndim != 1:
         raise InputError(f"{what}: expected an array of shape (samples,), found the shape {values.shape}")
-    check_finite(what, values)
     return values
 
 

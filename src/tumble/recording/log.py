@@ -20,7 +20,7 @@ import numpy as np
 
 from tumble.brief import Brief
 from tumble.errors import LogError, TumbleError, did_you_mean
-from tumble.recording.log_source import LogSource, first_numbers, readable
+from tumble.recording.log_source import LogSource, readable
 from tumble.recording.readers import TableLog, source_of
 from tumble.recording.rows.gaps import Bridge, Gap, Grid, seconds_of_stamps
 from tumble.recording.rows.timed import burst_grid, check_head, regular_grid, rounded_grid, rows_of
@@ -183,7 +183,12 @@ def open_log(session: Session) -> Log:
             raise LogError(f"{source.path}: expected a column '{column}', found {shown[:200]}{hint}")
     for source in sources:
         # the first times as written; without times, the first numbers of a sensor
-        heads.append(first_numbers(source, spec.time or spec.accel.columns[0], HEAD_ROWS, clock=spec.clock))
+        column, parts = spec.time or spec.accel.columns[0], [np.empty(0)]
+        for table, _ in source.tables([column], column if spec.clock else None):
+            parts.append(table[column].to_numpy())
+            if sum(map(len, parts)) >= HEAD_ROWS:
+                break
+        heads.append(np.concatenate(parts)[:HEAD_ROWS])
         if not len(heads[-1]):
             raise LogError(f"{source.path}: expected a log, found no rows; the file is empty")
         if len(heads[-1]) < _FEWEST_ROWS:

@@ -13,11 +13,9 @@ from itertools import tee
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
 import polars as pl
 
 from tumble.errors import LogError, TumbleError
-from tumble.units import Array
 
 BLANK_LINE = "a blank line"
 _SHOWN = 40  # characters in a message
@@ -109,16 +107,6 @@ class LogSource:
     def place(self, row: int, column: str | None = None) -> str:
         """Return file, data row and column in words."""
         return f"{self.path}: row {row}" + in_column(column)
-
-
-def first_numbers(source: LogSource, column: str, rows: int, *, clock: bool) -> Array:
-    """Return the first numbers of a column, at most `rows`."""
-    parts: list[Array] = [np.empty(0)]
-    for table, _ in source.tables([column], column if clock else None):
-        parts.append(table[column].to_numpy())
-        if sum(map(len, parts)) >= rows:
-            break
-    return np.concatenate(parts)[:rows]
 
 
 def one_ahead(parts: Iterator[_Part]) -> Iterator[_Part]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -83,7 +84,7 @@ class TableLog(LogSource):
         return None if first is None else str(first.isoformat(timespec="seconds"))
 
     def read(self, columns: Sequence[str], clock: str | None) -> Tables:
-        scan, first = self.scan().select(columns), 1
+        scan = self.scan().select(columns)
         for column in columns:
             kind = self.types[column]
             if column == clock and isinstance(kind, pl.Datetime):  # seconds since midnight of the first
@@ -93,15 +94,7 @@ class TableLog(LogSource):
                 raise LogError(
                     f"{self.path}: column '{column}': expected numbers, found the type {kind}; write it as float64"
                 )
-        for table in self._batches(scan.select(pl.col(columns).cast(pl.Float64))):
-            for values in table:
-                if values.null_count():
-                    place = self.place(first + int(np.argmax(values.is_null().to_numpy())), values.name)
-                    raise LogError(
-                        f"{place}: expected a number, found an empty value; correct or remove the row, or write nan "
-                        "for a lost sample"
-                    )
-            first += table.height
+        for table in self._batches(scan.select(pl.col(columns).cast(pl.Float64).fill_null(math.nan))):
             yield table, []
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:

@@ -21,9 +21,8 @@ from pydantic_core import core_schema
 from tumble.documents import shown
 from tumble.inference.estimate import Fit, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.inference.sources import Source
-from tumble.recording.session import UNKNOWN, AutopilotSensor, Circumstances, IsoDate, Site, sensors_from
+from tumble.recording.session import UNKNOWN, AutopilotSensor, Circumstances, IsoDate, Site, check_name, sensors_from
 from tumble.recording.session.document import ImuTable
-from tumble.recording.session.table import check_name
 from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import is_parameter
 from tumble.units import Array

@@ -250,6 +250,10 @@ def _calibrated(
             remarks |= dict.fromkeys(doubtful_time_base(estimate, grade_named(grade).gyro.scale), ("gyro.scale",))
         notes = motion_note(estimate, used) if accepted_kinds(calibration) else ()
         calibration = _with(calibration, notes=notes, remarks=remarks)
+        sensors = {"accel": session.log.accel, "gyro": session.log.gyro}
+        settled = {f"doubt: {channels.doubt}" for kind in accepted_kinds(calibration) if (channels := sensors[kind])}
+        open_ones = tuple(s for s in calibration.provenance.assumptions if s not in settled)
+        calibration = replace(calibration, provenance=replace(calibration.provenance, assumptions=open_ones))
         if session.log.magnetometer is not None:
             from tumble.run.magnetometer import with_magnetometer
 
@@ -401,8 +405,7 @@ def assumptions(session: Session) -> tuple[str, ...]:
         found = f"the uncertainty of the time base is not stated: {size}, usual for {clock}, is in u of "
         found += " and ".join(by_clock)
         sentences.append(Advised(found, "state clock_ppm_u in [log], 0 where it is exact"))
-    sentences += [f"doubt: {log.doubt}"] if log.doubt else []
-    return tuple(sentences)
+    return (*sentences, *(f"doubt: {doubt}" for doubt in log.doubts))
 
 
 def new_provenance(log_sha256: str) -> Provenance:

@@ -153,7 +153,7 @@ def calibrate_gyros(rests: GyroRests) -> Calibration:
                 Advised(absent, f"to have them {WHAT_TO_RECORD}"),
                 "the directions of the Earth's rate and of gravity are not known: u of gyro.bias includes both, "
                 f"gravity by the g-sensitivity usual for the grade {grade}",
-                *([f"doubt: {session.log.doubt}"] if session.log.doubt else []),
+                *(f"doubt: {doubt}" for doubt in session.log.doubts),
             ),
         ),
     )

@@ -89,7 +89,7 @@ def noise_of(*recordings: Session | FilePath, layout: Mapping[str, Any] | None =
     if not records:
         raise InputError("noise: expected a recording, found none")
     several = f"{len(records)} records: " if len(records) > 1 else ""
-    doubts = dict.fromkeys([records[0].session.log.doubt, *map(_turned, records)])
+    doubts = dict.fromkeys([*records[0].session.log.doubts, *map(_turned, records)])
     return RecordedNoise(
         panels=noise_panels(records),
         rate=records[0].rate,

@@ -32,7 +32,7 @@ known it may be any recorded temperature, and the change of (3) over these is in
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -142,7 +142,7 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
             created=provenance.created,
             sample_rate=base_provenance.sample_rate or observed.rate,
             notes=(*base_provenance.notes, *notes, *_notes(estimate, observations, base)),
-            assumptions=(*base_provenance.assumptions, *_assumptions(observations, base, session.log.doubt)),
+            assumptions=(*base_provenance.assumptions, *_assumptions(observations, base, session.log.doubts)),
         ),
     )
 
@@ -407,9 +407,8 @@ def _notes(estimate: Estimate, observations: Observations, base: Calibration | N
         )
 
 
-def _assumptions(observations: Observations, base: Calibration | None, doubt: str | None) -> Iterator[str]:
-    if doubt:
-        yield f"doubt: {doubt}"
+def _assumptions(observations: Observations, base: Calibration | None, doubts: Iterable[str]) -> Iterator[str]:
+    yield from (f"doubt: {doubt}" for doubt in doubts)
     span = float(np.ptp(_kelvin(observations), axis=0).max())
     if span < WIDE:
         yield Advised(

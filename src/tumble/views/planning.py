@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from tumble.planning.plan import Plan, Requirement, largest_errors
+from tumble.planning.plan import Plan, Requirement, largest_errors, least_rest
 from tumble.planning.setup import GROUPS, Setup, time_of
 from tumble.programme.sheet_words import clock, move_text, short_code
 from tumble.sensors.parameters import group_of, shown_in
@@ -94,5 +94,7 @@ def _needs(row: Requirement, setup: Setup) -> dict[str, str]:
     ):
         cells[what] = f"±{largest / DEGREE:.2f}° (any)" if error is None else f"±{error / DEGREE:.2f}°"
     cells["rests of"] = f"{row.rest:.3g} s" if math.isfinite(row.rest) else "–"
+    if row.rest == least_rest(setup):
+        cells["rests of"] += f" (the least: {_in_unit(row.group, row.reached)})"
     cells["or positions"] = "" if row.positions is None else str(row.positions)
     return cells | {"because": ""}

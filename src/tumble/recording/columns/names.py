@@ -200,16 +200,13 @@ class Columns:
     turning: bool = False
 
 
-def columns_by_name(names: Iterable[str]) -> Columns:
-    """Identify the columns of a table by their names."""
+def columns_by_name(names: Iterable[str], *, suffixed: bool = False) -> Columns:
+    """Identify the columns of a table by their names.
+
+    With `suffixed` a single letter for a kind may come first, as in the ax_front of one of several groups."""
     names = list(names)
     thermometers = {name: kind for name in names if (kind := thermometer(_split(name)[0])) is not None}
-    stems: dict[tuple[str, str], dict[str, str]] = {}  # columns by kind and stem, then by axis
-    for name in names:
-        words, unit = _split(name)
-        for axis, stem in (_axes(words) or _axis_alone(words)) if name not in thermometers else ():
-            if (kind := sensor_kind(stem, unit)) is not None:
-                stems.setdefault((kind, stem), {}).setdefault(axis, name)
+    stems = _stems((name for name in names if name not in thermometers), suffixed=suffixed)
 
     def rank(item: tuple[tuple[str, str], Mapping[str, str]]) -> tuple[float, bool]:
         """Rank by score, and axes that are letters before numbers, as in acc_x_0 … acc_z_2 of three devices."""
@@ -221,7 +218,7 @@ def columns_by_name(names: Iterable[str]) -> Columns:
     others: list[str] = []
     taken: set[str] = set()
     for (kind, stem), by_axis in sorted(stems.items(), key=rank):
-        if set(by_axis) != set("xyz") or taken & {*by_axis.values()}:
+        if taken & {*by_axis.values()}:
             continue
         taken |= {*by_axis.values()}
         if kind in triads:
@@ -242,7 +239,10 @@ def columns_by_name(names: Iterable[str]) -> Columns:
     times = [name for name in names if name not in ("", "T", *sensors) and _score(TIME_KIND, name)]
     time = max(times, key=lambda name: _score(TIME_KIND, name), default=None)
     thermometers = {name: kind for name, kind in thermometers.items() if name != time}
-    temperatures = _one_per_kind(thermometers, gyros=GYRO in triads)
+    first = {kind: name for name, kind in reversed(list(thermometers.items()))}
+    pairs = ((ACCEL, GYRO), (GYRO, ACCEL))[: 1 + (GYRO in triads)]  # one thermometer for all sensors, or one per kind
+    shared = (first.get(kind, first.get(other, first.get(""))) for kind, other in pairs)
+    temperatures = tuple(dict.fromkeys(name for name in shared if name is not None))
     return Columns(
         time=time,
         time_unit=None if time is None else time_unit(time),
@@ -251,6 +251,56 @@ def columns_by_name(names: Iterable[str]) -> Columns:
         others=(*others, *(name for name in thermometers if name not in temperatures)),
         times=tuple(times),
     )
+
+
+def _stems(names: Iterable[str], *, suffixed: bool) -> dict[tuple[str, str], dict[str, str]]:
+    """Return the columns of three axes by kind and stem, then by axis."""
+    stems: dict[tuple[str, str], dict[str, str]] = {}
+    for name in names:
+        words, unit = _split(name)
+        for axis, stem in _axes(words) or _axis_alone(words):
+            kind = sensor_kind(stem, unit)
+            if kind is None and suffixed and stem[1:2] == "_":
+                kind = sensor_kind(stem[0], unit)
+            if kind is not None:
+                stems.setdefault((kind, stem), {}).setdefault(axis, name)
+    return {key: by_axis for key, by_axis in stems.items() if set(by_axis) == set("xyz")}
+
+
+def groups_by_name(names: Sequence[str]) -> dict[str, list[str]]:
+    """Return the columns of several groups of sensors by the words in which the names of one kind differ.
+
+    A number behind the word for a kind is a word: the groups of ax1 and ax2 are 1 and 2. If gyros are in several
+    groups, those of the accelerometers have the same words.
+
+    >>> groups_by_name(["left_ax", "left_ay", "left_az", "right_ax", "right_ay", "right_az", "T_right"])["right"]
+    ['right_ax', 'right_ay', 'right_az', 'T_right']
+    """
+    columns: dict[str, dict[str, list[str]]] = {kind: {} for kind in SENSOR_KINDS}
+    stems = _stems(names, suffixed=True)
+    for kind, of_kind in columns.items():
+        words = {stem: _numbered_words(stem) for k, stem in stems if k == kind}
+        common = set[str]().union(*words.values()).intersection(*words.values())
+        for stem, listed in words.items():
+            label = "_".join(word for word in listed if word not in common)
+            of_kind.setdefault(label, []).extend(stems[kind, stem].values())
+    accel, gyro = columns[ACCEL], columns[GYRO]
+    labels = [label for label in accel if label and (label in gyro or len(gyro) < 2)]
+    groups = {label: [c for of_kind in columns.values() for c in of_kind.get(label, ())] for label in labels}
+    sensors = {column for group in groups.values() for column in group}
+    for label, group in groups.items():  # thermometers and times
+        group += [name for name in names if name not in sensors and {*label.split("_")} <= {*_numbered_words(name)}]
+    return groups if len(groups) > 1 else {}
+
+
+def _numbered_words(name: str) -> list[str]:
+    """Return the words of a name, with numbers behind the word for a kind of sensor by themselves."""
+    words = list[str]()
+    for word in _split(name)[0]:
+        part = re.fullmatch(r"([a-z]+)(\d+)", word)
+        is_kind = part is not None and (thermometer([part[1]]) is not None or sensor_kind(part[1], "") is not None)
+        words += part.groups() if part is not None and is_kind else (word,)
+    return words
 
 
 def _triad(kind: str, columns: Sequence[str]) -> Sensors:
@@ -388,12 +438,3 @@ def thermometer(words: Sequence[str]) -> str | None:
     if not _THERMOMETER.fullmatch(name):
         return None
     return next((kind for kind, word in _KIND_WORDS.items() if re.search(f"(^|_)({word})(_|$)", name)), "")
-
-
-def _one_per_kind(thermometers: Mapping[str, str], *, gyros: bool) -> tuple[str, ...]:
-    """Return thermometers, given with their kinds, as in [log.temperature]: one for all sensors, or one per kind.
-
-    A kind of sensor without a thermometer shares that of the other kind, else one without a kind."""
-    first = {kind: name for name, kind in reversed(list(thermometers.items()))}
-    taken = [first.get(kind, first.get(other, first.get(""))) for kind, other in ((ACCEL, GYRO), (GYRO, ACCEL))]
-    return tuple(dict.fromkeys(name for name in taken[: 1 + gyros] if name is not None))

@@ -126,7 +126,12 @@ def _ranked_hypotheses(names: Sequence[str], table: Array, columns: Sequence[int
     triples = [triple for triple in triples if _differ_in_axis_alone([names[j] for j in triple])]
     if not triples or len(table) < _FEWEST_ROWS or not (quiet := _quiet_blocks(table[:, candidates])).any():
         return []
-    noise = {triple: _cost_of_unequal_noise(table[:, triple], quiet) for triple in triples}
+    noise = dict[Triple, float]()
+    for triple in triples:  # a constant column has half the least step as noise
+        levels = [np.unique(column[np.isfinite(column)]) for column in table[:, triple].T]
+        scatter = zip(_rests(table[:, triple], quiet)[1], levels, strict=True)
+        sizes = [max(float(s), 0.5 * float(np.diff(level).min())) for s, level in scatter]
+        noise[triple] = min(float(np.std(np.log(sizes))) ** 2 / _NOISE**2, _MOST)
     # adjacent columns are counted in triples
     first = {j: next(k for k in range(j, -1, -1) if k - 1 not in candidates) for j in candidates}
     off_triple = {triple: _OFF_TRIPLE * ((triple[0] - first[triple[0]]) % 3 != 0) for triple in triples}
@@ -255,14 +260,6 @@ def _cost_of_turning(rates: Array, accel: Array, quiet: BoolArray) -> float:
     matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
     residual = wanted - matrix @ np.linalg.lstsq(matrix, wanted, rcond=None)[0]
     return _CARRIED * (float(residual @ residual) / float(wanted @ wanted) - 0.5)
-
-
-def _cost_of_unequal_noise(columns: Array, quiet: BoolArray) -> float:
-    """Return the cost of the differences in noise at rest; a constant column has half the least step as noise."""
-    _, scatter = _rests(columns, quiet)
-    steps = [np.diff(np.unique(column[np.isfinite(column)])) for column in columns.T]
-    noise = [max(float(s), 0.5 * float(step.min())) for s, step in zip(scatter, steps, strict=True)]
-    return min(float(np.std(np.log(noise))) ** 2 / _NOISE**2, _MOST)
 
 
 def _differ_in_axis_alone(names: Sequence[str]) -> bool:

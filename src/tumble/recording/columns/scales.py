@@ -94,11 +94,6 @@ CANDIDATES: Mapping[str, tuple[SensorScale, ...]] = {
 }
 
 
-def log_distance_to_table(kind: str, reading: float) -> float:
-    """Return |ln(reading / nominal)| for the nearest nominal reading of one g or one °/s."""
-    return float(min(abs(np.log(reading / c.value)) for c in CANDIDATES[kind] if not c.increment))
-
-
 _STEPS = (
     *(full / 32768.0 for full in GYRO_RANGES),
     *(round(1.0 / counts, 12) for counts in (*_counts(GYRO, "common"), *_counts(GYRO, "rare"))),

@@ -81,19 +81,17 @@ def messages(path: Path) -> list[Message]:
                 kept.setdefault((kind, instance), []).append(reading)
         finally:
             log.close()
-    if not kept and path.suffix.lower() == ".bin" and not _has_head(path):
-        raise InputError(f"{path}: expected a log of ArduPilot, found another binary file; export its readings as CSV")
+    if not kept and path.suffix.lower() == ".bin":
+        with path.open("rb") as file:
+            if _HEAD not in file.read(_HEAD_WITHIN):
+                raise InputError(
+                    f"{path}: expected a log of ArduPilot, found another binary file; export its readings as CSV"
+                )
     origin = min((rows[0][0] for rows in kept.values()), default=0.0)
     return [
         _message(kind, instance, np.array(rows, dtype=float), origin, parameters)
         for (kind, instance), rows in sorted(kept.items())
     ]
-
-
-def _has_head(path: Path) -> bool:
-    """Return True if a binary file begins with messages of ArduPilot."""
-    with path.open("rb") as file:
-        return _HEAD in file.read(_HEAD_WITHIN)
 
 
 def _message(kind: str, instance: int, rows: Any, origin: float, parameters: Mapping[str, float]) -> Message:

@@ -67,23 +67,19 @@ def messages(path: Path) -> list[Message]:
 def _message(data: Any, origin: int, parameters: Mapping[str, Any]) -> Message:
     values, fields = data.data, dict(_FIELDS[data.name])
     warmth = {}
-    if data.name in _THERMOMETERS and _has_temperature(values):
+    if data.name in _THERMOMETERS and np.isfinite(values.get("temperature", np.nan)).all():
         warmth = {f"{_THERMOMETERS[data.name]}_temperature": "temperature"}
+    applied = {name: float(value) for name, value in parameters.items() if _APPLIED.fullmatch(name)}
+    corrected = not applied or any(value != name.endswith("SCALE") for name, value in applied.items())
     return Message(
         name=f"{data.name}.{data.multi_id}",
         count=len(values["timestamp"]),
         triads=triads_of(fields, _UNITS),
         temperatures=tuple(warmth),
         rows=partial(_rows, values, fields | warmth, origin),
-        doubt=PX4_CORRECTED if data.name == _COMBINED and _has_corrected(parameters) else "",
+        doubt=PX4_CORRECTED if data.name == _COMBINED and corrected else "",
         imu=_sensors(data, parameters),
     )
-
-
-def _has_corrected(parameters: Mapping[str, Any]) -> bool:
-    """Return whether any parameter changes the readings of sensor_combined, or none is known."""
-    applied = {name: float(value) for name, value in parameters.items() if _APPLIED.fullmatch(name)}
-    return not applied or any(value != name.endswith("SCALE") for name, value in applied.items())
 
 
 def _sensors(data: Any, parameters: Mapping[str, Any]) -> dict[str, AutopilotSensor]:
@@ -98,10 +94,6 @@ def _sensors(data: Any, parameters: Mapping[str, Any]) -> dict[str, AutopilotSen
     calibrated = {slot: parameters.get(parameter.format(slot)) for slot in range(_MOST)}
     slots = [slot for slot, stated in calibrated.items() if stated is not None and int(stated) % 2**32 == device]
     return {kind: AutopilotSensor(number=1 + (slots[0] if slots else data.multi_id), id=device)}
-
-
-def _has_temperature(values: dict[str, Any]) -> bool:
-    return "temperature" in values and bool(np.isfinite(values["temperature"]).all())
 
 
 def _taken(values: dict[str, Any]) -> Any:

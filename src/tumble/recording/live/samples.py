@@ -127,7 +127,18 @@ class SampleStream:
             with suppress(Ended):
                 while b"\n" not in self._before:
                     self._before += source.read(READ_SECONDS)
-            session = _in_si(self._before.partition(b"\n")[0], serial, site, gyros=gyros)
+            log = {key: value for key, value in SI_LOG.items() if key != "file" and (gyros or key != "gyro")}
+            columns = [log["time"], *log["accel"]["columns"], *(log["gyro"]["columns"] if gyros else [])]
+            first_line = self._before.partition(b"\n")[0].decode("utf-8", errors="replace")
+            if TEMPERATURE in [column.strip() for column in first_line.split(",")]:
+                log[TEMPERATURE] = {"columns": [TEMPERATURE], "unit": "degC"}
+                columns.append(TEMPERATURE)
+            place = {}
+            if site is not None:
+                place = {"height_m": site.height, "gravity": site.gravity, "gravity_u": site.gravity_u}
+                place |= {} if site.latitude is None else {"latitude_deg": site.latitude / DEGREE}
+            described = {"format": 1, "device": {"serial": serial}, "site": place, "log": log}
+            session = session_of(described, {column: np.zeros(1) for column in columns})
         self.session, spec = session, session.log
         self._lines = Lines(columns=spec.columns, clock=spec.time, refuse=lambda _: None)
         self._samples = StreamedSamples(spec)
@@ -159,18 +170,3 @@ class SampleStream:
                     chunk = self._samples.feed(rows[begin:end]) if end > begin else None
                     if chunk is not None:
                         yield chunk
-
-
-def _in_si(first_line: bytes, serial: str, site: Site | None, *, gyros: bool) -> Session:
-    """Return the session of a source in SI."""
-    log = {key: value for key, value in SI_LOG.items() if key != "file" and (gyros or key != "gyro")}
-    columns = [log["time"], *log["accel"]["columns"], *(log["gyro"]["columns"] if gyros else [])]
-    if TEMPERATURE in [column.strip() for column in first_line.decode("utf-8", errors="replace").split(",")]:
-        log[TEMPERATURE] = {"columns": [TEMPERATURE], "unit": "degC"}
-        columns.append(TEMPERATURE)
-    place = {}
-    if site is not None:
-        place = {"height_m": site.height, "gravity": site.gravity, "gravity_u": site.gravity_u}
-        place |= {} if site.latitude is None else {"latitude_deg": site.latitude / DEGREE}
-    described = {"format": 1, "device": {"serial": serial}, "site": place, "log": log}
-    return session_of(described, {column: np.zeros(1) for column in columns})

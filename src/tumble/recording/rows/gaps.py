@@ -206,7 +206,13 @@ class Bridge:
             rows = new if self.pending is None else self.pending.followed_by(new)
             lost = rows.lost()
             if self.last is None and lost.any():
-                rows, lost = self._from_first_sound(rows, lost)
+                first = len(lost) if lost.all() else int(np.argmin(lost))
+                if int(rows.numbers[0]) in rows.unread:
+                    raise unread_error(self.source, rows.unread[int(rows.numbers[0])])
+                if first:
+                    stop = float(rows.time[first]) if first < len(lost) else math.nan
+                    self._leave_out(rows.part(slice(0, first)), first, stop)
+                rows, lost = rows.part(slice(first, None)), lost[first:]
             if self.last is None and len(rows.time):
                 start = float(rows.time[0])
             sound = len(lost) - int(np.argmin(lost[::-1])) if not lost.all() else 0
@@ -227,16 +233,6 @@ class Bridge:
             raise LogError(f"{self.source.path}: expected at least {_SHORTEST_LOG:g} s, found {length:.6g} s{hint}")
         if self.pending is not None:
             self._leave_out(self.pending, behind, math.nan)
-
-    def _from_first_sound(self, rows: LogRows, lost: BoolArray) -> tuple[LogRows, BoolArray]:
-        """Return the rows from the first sound one on. Raises LogError if the first row of the file is unreadable."""
-        first = len(lost) if lost.all() else int(np.argmin(lost))
-        if int(rows.numbers[0]) in rows.unread:
-            raise unread_error(self.source, rows.unread[int(rows.numbers[0])])
-        if first:
-            stop = float(rows.time[first]) if first < len(lost) else math.nan
-            self._leave_out(rows.part(slice(0, first)), first, stop)
-        return rows.part(slice(first, None)), lost[first:]
 
     def _leave_out(self, lost: LogRows, samples: int, stop: float) -> None:
         """Report lost samples at the start or the end of the file; `lost` are the first of them."""

@@ -176,7 +176,7 @@ class _TimedRows:
             at = int(np.searchsorted(rows.numbers, u.row)) - 1
             before = float(rows.time[at]) if at >= 0 else self.last
             if u.kind is not Kind.NO_ROW:
-                self._leave_out(u.row, u.what, before)
+                self._leave_out(self._gap(u.row, before, f"{u.what}: left out"))
             elif counted and u.found == BLANK_LINE:
                 gap = self._gap(u.row, before, "a blank line, which may have been a sample")
                 self.blank.append(replace(gap, stop=gap.time + self.grid.interval, integrable=False))
@@ -209,7 +209,8 @@ class _TimedRows:
         leaps = leaping(rows.time, self.last, step)
         for at in np.flatnonzero(leaps).tolist():
             before = rows.time[:at][~leaps[:at]][-1:].tolist() or [self.last]
-            self._leave_out(int(rows.numbers[at]), "a time stamp beyond that of a row behind it", before[0])
+            what = "a time stamp beyond that of a row behind it: left out"
+            self._leave_out(self._gap(int(rows.numbers[at]), before[0], what))
         rows = rows.part(~leaps) if leaps.any() else rows
         far = np.diff(rows.time, prepend=self.last)[-_LONGEST_LEAP:] > step
         if far.any() and not last:
@@ -227,35 +228,28 @@ class _TimedRows:
         for run in np.split(at_late, np.flatnonzero(np.diff(at_late) > 1) + 1) if len(at_late) else ():
             before = float(rows.time[run[0] - 1]) if run[0] else self.last
             after = float(rows.time[run[-1] + 1]) if run[-1] + 1 < end else math.nan
-            self._leave_out_late(rows.numbers[run].tolist(), rows.time[run], before, after)
+            first, count = int(rows.numbers[run[0]]), len(run)
+            falls, passed = float(rows.time[run].min()) < before, (after - before) / self.grid.interval
+            if falls:
+                self.falls.append((count, first, before, float(rows.time[run[0]])))
+            if not falls or abs(passed - count - 1.0) < _PASSED_TOLERANCE:
+                what = "a time stamp before that of the row before" if falls else "the time stamp of the row before"
+                self.repeated += 0 if falls else count
+                for row in rows.numbers[run].tolist():
+                    self._leave_out(self._gap(row, before, f"{what}: left out"))
+            else:
+                gap = replace(self._gap(first, before, "time stamps that fall back"), time=before, samples=count)
+                gap = replace(gap, stop=after, integrable=False, why="the clock falls back in it")
+                self._leave_out(gap, count)
         return rows.part(~late) if len(at_late) else rows
-
-    def _leave_out_late(self, rows: list[int], time: Array, before: float, after: float) -> None:
-        """Report rows whose times (m,), s, are no later than the time `before`; `after` is the next time or nan."""
-        falls, passed = float(time.min()) < before, (after - before) / self.grid.interval
-        if falls:
-            self.falls.append((len(rows), rows[0], before, float(time[0])))
-        if not falls or abs(passed - len(rows) - 1.0) < _PASSED_TOLERANCE:
-            what = "a time stamp before that of the row before" if falls else "the time stamp of the row before"
-            self.repeated += 0 if falls else len(rows)
-            for row in rows:
-                self._leave_out(row, what, before)
-            return
-        self.left_out += len(rows)
-        gap = replace(self._gap(rows[0], before, "time stamps that fall back"), time=before, samples=len(rows))
-        self._report(replace(gap, stop=after, integrable=False, why="the clock falls back in it"))
 
     def _gap(self, row: int, before: float, what: str) -> Gap:
         """Return a gap at a row without missing samples; `before` is the time of the row before, s."""
         return Gap(file=self.file, row=row, time=max(before, 0.0), samples=0, what=what)
 
-    def _leave_out(self, row: int, what: str, before: float) -> None:
-        """Report a row that is left out."""
-        self.left_out += 1
-        self._report(self._gap(row, before, f"{what}: left out"))
-
-    def _report(self, gap: Gap) -> None:
-        """Add a gap. Raises LogError if too many rows were left out."""
+    def _leave_out(self, gap: Gap, rows: int = 1) -> None:
+        """Add a gap at rows that are left out. Raises LogError if these are too many."""
+        self.left_out += rows
         self.first = self.first or gap
         if self.left_out > MOST_GAPS:
             raise self._too_many(self.count)

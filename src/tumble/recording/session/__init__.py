@@ -9,23 +9,73 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from tumble.brief import Brief
-from tumble.documents import shown
-from tumble.errors import InputError, ProgrammeError
+from tumble.documents import is_plain, shown
+from tumble.errors import InputError, ProgrammeError, did_you_mean
 from tumble.programme.positions import BUILT_IN, Programme, attitude, programme_of, programmes
-from tumble.recording.session.table import SessionTable, check_known, check_span, key
 from tumble.recording.text.dialect import Dialect
 from tumble.sensors.model import Block
 from tumble.units import Array, Unit
 
 if TYPE_CHECKING:
     from tumble.recording.log_source import LogSource
+
+
+# -------------------- tables of session.toml --------------------
+
+LONGEST_NAME = 200
+"""Largest number of characters of a serial number or a type."""
+
+
+class SessionTable(BaseModel):
+    """A table of the file, without other keys and other types."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False, defer_build=True)
+
+
+def key(description: str, default: Any = None, **limits: Any) -> Any:
+    """Return an optional key; `description` states the expected value."""
+    return Field(default=default, description=description, **limits)
+
+
+def check_known(value: str, known: Iterable[str], key: str = "") -> str:
+    """Return the value. Raises ValueError if it is not one of `known`."""
+    names = list(known)
+    if value not in names:
+        hint, before = did_you_mean(value, names), f"{key}: " if key else ""
+        raise ValueError(f'{before}expected one of {", ".join(names)}, found "{value}"{hint}')
+    return value
+
+
+def one_of(names: Iterable[str]) -> AfterValidator:
+    return AfterValidator(partial(check_known, known=tuple(names)))
+
+
+def check_plain(text: str) -> str:
+    if not is_plain(text):
+        raise ValueError(f"expected no control characters, found {shown(text)}")
+    return text
+
+
+def check_name(text: str) -> str:
+    if not (text.strip() and text.isprintable() and len(text) <= LONGEST_NAME):
+        raise ValueError(f"expected 1 to {LONGEST_NAME} printable characters, found {shown(text)}")
+    return text.strip()
+
+
+def check_span(start: float | None, stop: float | None) -> None:
+    if start is not None and stop is not None and start >= stop:
+        raise ValueError(f"start: expected a start before the stop {stop:g} s, found {start:g} s")
+
+
+# -------------------- a session in SI --------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -96,7 +146,7 @@ class Channels:
     `unit_name` is the unit in session.toml. For raw units (count, V) `unit` is that of `scale_per`; for the others
     scale is 1 and offset 0. `axes` (n, 3): nominal sensing directions in the body frame, unit vectors. `range`: full
     scale in m/s² or rad/s, the smallest of the sensors'. `scale_stated`: the scale of counts is stated; otherwise it
-    is 1."""
+    is 1. `doubt`: uncertainty about the unit, which ends where a recording determines the scale."""
 
     columns: tuple[str, ...]
     unit: Unit
@@ -106,6 +156,7 @@ class Channels:
     axes: Array
     range: float | None
     scale_stated: bool = True
+    doubt: str = ""
 
     @property
     def raw(self) -> bool:
@@ -193,6 +244,12 @@ class LogSpec:
         """Relative standard uncertainty of the time base, stated or usual."""
         usual = USUAL_CLOCK_U if self.rate is None else USUAL_RATE_U
         return usual if self.clock_u is None else self.clock_u
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """Uncertainties about the log and about the units of its sensors."""
+        of_units = (channels.doubt for channels in (self.accel, self.gyro) if channels is not None)
+        return tuple(filter(None, (*of_units, self.doubt)))
 
     @property
     def increments(self) -> dict[str, bool]:

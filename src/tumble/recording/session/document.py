@@ -22,11 +22,14 @@ from tumble.recording.session import (
     Exclusion,
     ProgrammeSpec,
     Session,
+    SessionTable,
     Site,
+    check_name,
+    check_plain,
+    key,
     sensors_from,
 )
 from tumble.recording.session.log_tables import LogTable
-from tumble.recording.session.table import SessionTable, check_name, check_plain, key
 from tumble.sensors.parameters import prior_of
 from tumble.units import DEGREE, G_STANDARD, TESLA
 
@@ -38,12 +41,6 @@ UNKNOWN_HEIGHT_GRAVITY_U = 4e-3
 """Standard uncertainty of normal gravity at an unknown height, m/s²: that of 1300 m."""
 
 _FIELD_ON_EARTH = (1.5e-5, 8e-5)  # T, at the ground: 22 to 67 µT, and magnetic rock
-
-
-def last_digit_u(value: float) -> float:
-    """Return the standard uncertainty of a number, uniform over its last digit; 0 for more than nine decimals."""
-    decimals = len(repr(value).partition(".")[2])
-    return 0.0 if decimals > _MOST_TYPED_DECIMALS else 10.0**-decimals / 12.0**0.5
 
 
 class SiteTable(SessionTable):
@@ -64,29 +61,18 @@ class SiteTable(SessionTable):
             raise ValueError("gravity_u: expected site.gravity or site.latitude_deg with it, found neither")
         return self
 
-    def check_field(self, unit: str | None) -> None:
-        """Raise ValueError unless the field is one on Earth in the unit of the magnetometer, None without one."""
-        if self.field is None:
-            return
-        if unit is None:
-            raise ValueError("site.field: expected only with [log.magnetometer], found no magnetometer")
-        low, high = (limit / TESLA[unit] for limit in _FIELD_ON_EARTH)
-        if not low <= self.field <= high:
-            raise ValueError(
-                f"site.field: expected the field on Earth, from {low:g} to {high:g} {unit}, the unit of "
-                f"[log.magnetometer], found {self.field:g}"
-            )
-
     def si(self) -> Site:
         """Return the site in SI, with assumptions, and their standard uncertainty, for missing values.
 
-        Gravity without `gravity_u` is known to its last digit. Without gravity it is normal gravity, at sea level if
-        the height is not stated; at an unknown place it is standard gravity."""
+        Gravity without `gravity_u` is uniform over its last digit, and exact with more than nine. Without gravity it is
+        normal gravity, at sea level if the height is not stated; at an unknown place it is standard gravity."""
         latitude = None if self.latitude_deg is None else self.latitude_deg * DEGREE
         height = 0.0 if self.height_m is None else self.height_m
         assumed: AssumedGravity = "nothing"
         if self.gravity is not None:
-            gravity, u, assumed = self.gravity, last_digit_u(self.gravity), "digits"
+            decimals = len(repr(self.gravity).partition(".")[2])
+            u = 0.0 if decimals > _MOST_TYPED_DECIMALS else 10.0**-decimals / 12.0**0.5
+            gravity, assumed = self.gravity, "digits"
         elif latitude is None:
             gravity, u, assumed = G_STANDARD, UNKNOWN_SITE_GRAVITY_U, "place"
         elif self.height_m is None:
@@ -186,7 +172,17 @@ class SessionDocument(SessionTable):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        self.site.check_field(None if self.log.magnetometer is None else self.log.magnetometer.unit)
+        if self.site.field is None:
+            return self
+        if self.log.magnetometer is None:
+            raise ValueError("site.field: expected only with [log.magnetometer], found no magnetometer")
+        unit = self.log.magnetometer.unit
+        low, high = (limit / TESLA[unit] for limit in _FIELD_ON_EARTH)
+        if not low <= self.site.field <= high:
+            raise ValueError(
+                f"site.field: expected the field on Earth, from {low:g} to {high:g} {unit}, the unit of "
+                f"[log.magnetometer], found {self.site.field:g}"
+            )
         return self
 
     def si(self, folder: Path | None) -> Session:

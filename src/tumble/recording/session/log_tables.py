@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Self
 
@@ -12,8 +12,7 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from tumble.documents import as_written
-from tumble.recording.session import Channels, LogSpec, TemperatureChannels
-from tumble.recording.session.table import SessionTable, check_known, key, one_of
+from tumble.recording.session import Channels, LogSpec, SessionTable, TemperatureChannels, check_known, key, one_of
 from tumble.recording.text.dialect import DELIMITERS, DIALECT_KEYS, Dialect
 from tumble.sensors.model import thermometers_of
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, MAGNETIC_UNITS, TEMPERATURE_UNITS, TIME_UNITS, Array, Unit
@@ -37,20 +36,6 @@ def check_encoding(name: str) -> str:
     return name
 
 
-def check_different(files: str | list[str]) -> str | list[str]:
-    for file, count in Counter([files] if isinstance(files, str) else files).items():
-        if count > 1:
-            raise ValueError(f'expected different files, found "{file}" twice')
-    return files
-
-
-def check_one_per_column(columns: int, **values: float | list[float] | None) -> None:
-    """Raise ValueError for a list of another length than the number of columns."""
-    for name, value in values.items():
-        if isinstance(value, Sequence) and len(value) != columns:
-            raise ValueError(f"{name}: expected a number or {columns} numbers, one per column, found {len(value)}")
-
-
 class SensorsTable(SessionTable):
     """Common keys of [log.accel] and [log.gyro]."""
 
@@ -65,6 +50,7 @@ class SensorsTable(SessionTable):
     offset: Numbers = key("a number or a list of numbers")
     axes: list[list[float]] | None = key("a list of unit vectors [x, y, z]")
     range: float | None = key("a positive number", gt=0)
+    doubt: str | None = key("a sentence")
 
     @property
     def scaled_unit(self) -> Unit:
@@ -92,7 +78,12 @@ class SensorsTable(SessionTable):
             raise ValueError(f'scale: expected the nominal output per unit for unit "{self.unit}", found none')
         else:
             check_known(self.scale_per or self.SCALE_PER[0], self.SCALE_PER, "scale_per")
-            check_one_per_column(len(self.columns), scale=self.scale, offset=self.offset)
+            columns = len(self.columns)
+            for name, value in (("scale", self.scale), ("offset", self.offset)):
+                if isinstance(value, list) and len(value) != columns:
+                    raise ValueError(
+                        f"{name}: expected a number or {columns} numbers, one per column, found {len(value)}"
+                    )
             if self.scale is not None and not np.all(self.scale):
                 raise ValueError(f"scale: expected numbers other than zero, found {as_written(self.scale)}")
         self._check_axes()
@@ -130,6 +121,7 @@ class SensorsTable(SessionTable):
             axes=self.directions(),
             range=full_scale,
             scale_stated=self.UNITS[self.unit].kind != "raw" or self.scale is not None,
+            doubt=self.doubt or "",
         )
 
 
@@ -207,9 +199,7 @@ class TemperatureTable(SessionTable):
 class LogTable(SessionTable):
     """[log]"""
 
-    file: Annotated[str | list[str], AfterValidator(check_different)] = Field(
-        min_length=1, description="a file name or a list of file names"
-    )
+    file: str | list[str] = Field(min_length=1, description="a file name or a list of file names")
     time: str | None = key("a column name", min_length=1)
     time_unit: Annotated[str, one_of([*TIME_UNITS, CLOCK])] | None = key(f"one of {', '.join([*TIME_UNITS, CLOCK])}")
     rate_hz: float | None = key("a positive number", gt=0)
@@ -233,6 +223,9 @@ class LogTable(SessionTable):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        twice = [file for file, count in Counter(self.file).items() if count > 1] if isinstance(self.file, list) else []
+        if twice:
+            raise ValueError(f'file: expected different files, found "{twice[0]}" twice')
         if (self.time is None) == (self.rate_hz is None):
             given = "neither" if self.time is None else "both"
             raise ValueError(f"time: expected either log.time, a column, or log.rate_hz, found {given}")

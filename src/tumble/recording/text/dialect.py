@@ -157,7 +157,11 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
         return names_of_rows([cell.strip('"') for cell in dialect.cells(above[at - 1])], below) if at else ()
 
     def are_telling(at: int) -> bool:
-        return _are_telling(_with_group_names(candidates[at], groups(at)) or candidates[at])
+        """Return whether names identify sensors or a time."""
+        from tumble.recording.columns.names import columns_by_name
+
+        columns = columns_by_name(_with_group_names(candidates[at], groups(at)) or candidates[at])
+        return bool(columns.triads) or columns.time is not None
 
     if at >= 0 and any(line.strip() for line in above[at + 1 :]) and not are_telling(at):  # boot messages
         at = max((i for i in wordy if are_telling(i)), default=-1)
@@ -241,14 +245,6 @@ COUNTS = re.compile(
     r"\W*(sample|packet|frame|row|seq|record)?[ _]?(count(er)?|index|idx|id|n|nr|no|number|sample|seq|row)\W*", re.I
 )
 """Names of columns that number rows."""
-
-
-def _are_telling(names: Sequence[str]) -> bool:
-    """Return whether names identify sensors or a time."""
-    from tumble.recording.columns.names import columns_by_name
-
-    columns = columns_by_name(names)
-    return bool(columns.triads) or columns.time is not None
 
 
 def _are_units(names: Sequence[str]) -> bool:

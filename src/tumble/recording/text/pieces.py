@@ -31,40 +31,29 @@ _DEFLATE_RATIO = 1032  # largest ratio of gzip; an archive that states a larger 
 def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
     """Open a file for reading as UTF-8, decompressed according to its ending.
 
-    Raises LogError for an archive that unpacks to too large a size, here or while it is read."""
+    Raises LogError for an archive that unpacks to too large a size, here or while it is read, and MissingExtraError
+    for Zstandard before Python 3.14 without the extra `formats`."""
     ending = path.suffix.lower()
     stream: io.BufferedIOBase
-    if ending in (".gz", ".zst"):
-        packed, damaged, stated = _gzip(path) if ending == ".gz" else _zstandard(path)
-        check_unpacked(path, stated)
-        stream = io.BufferedReader(_Limited(packed, damaged, path))
+    if ending == ".gz":  # the last member states its size, to 4 GB, unless it is cut
+        with path.open("rb") as file:
+            size = file.seek(0, io.SEEK_END)
+            file.seek(max(size - 4, 0))
+            last = int.from_bytes(file.read(4), "little")
+        check_unpacked(path, last if last <= _DEFLATE_RATIO * size else 0)
+        stream = io.BufferedReader(_Limited(gzip.GzipFile(path), zlib.error, path))
+    elif ending == ".zst":  # the first frame states its size
+        if sys.version_info >= (3, 14):
+            from compression import zstd
+        else:
+            with needs_extra(f"{path}: a file compressed by Zstandard", "formats", "backports"):
+                from backports import zstd
+        with path.open("rb") as file, suppress(zstd.ZstdError):
+            check_unpacked(path, zstd.get_frame_info(file.read(_HEADER_BYTES)).decompressed_size or 0)
+        stream = io.BufferedReader(_Limited(zstd.ZstdFile(path), zstd.ZstdError, path))
     else:
         stream = path.open("rb")
     return stream if encoding == "utf-8" else _Recoded(stream, encoding)
-
-
-def _gzip(path: Path) -> tuple[Any, type[Exception], int]:
-    """Return a decompressing stream, its error, and the size stated by the last member, to 4 GB, 0 if it is cut."""
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        file.seek(max(size - 4, 0))
-        last = int.from_bytes(file.read(4), "little")
-    return gzip.GzipFile(path), zlib.error, last if last <= _DEFLATE_RATIO * size else 0
-
-
-def _zstandard(path: Path) -> tuple[Any, type[Exception], int]:
-    """Return a decompressing stream, its error, and the size stated by the first frame, 0 without.
-
-    Raises MissingExtraError before Python 3.14 without the extra `formats`."""
-    if sys.version_info >= (3, 14):
-        from compression import zstd
-    else:
-        with needs_extra(f"{path}: a file compressed by Zstandard", "formats", "backports"):
-            from backports import zstd
-    stated = 0
-    with path.open("rb") as file, suppress(zstd.ZstdError):
-        stated = zstd.get_frame_info(file.read(_HEADER_BYTES)).decompressed_size or 0
-    return zstd.ZstdFile(path), zstd.ZstdError, stated
 
 
 class _Recoded(io.BufferedIOBase):

@@ -66,7 +66,14 @@ class TextLog(LogSource):
     top: int
 
     def first_date(self, column: str) -> str | None:
-        return date_of(self._cell(next(self.pieces(), b""), column))
+        text = self._cell(next(self.pieces(), b""), column)
+        day = day_of(text)
+        seconds = seconds_of(pl.Series([text], dtype=pl.String), day)[0] if day else None
+        if not day or seconds is None:
+            return None
+        match = re.search(_TIME, text)
+        start = datetime(1970, 1, 1, tzinfo=UTC if match and match[6] else None) + timedelta(days=day)
+        return (start + timedelta(seconds=float(seconds))).isoformat(timespec="seconds")
 
     def read(self, columns: Sequence[str], clock: str | None) -> Tables:
         if missing := [column for column in columns if column not in self.names]:  # the first rows differ in width
@@ -194,7 +201,10 @@ class TextLog(LogSource):
             for piece in whole_lines(stream, self.path):
                 piece = piece.removeprefix(codecs.BOM_UTF8) if self.top == 0 else piece
                 piece = piece.replace(b"\0", b"") if b"\0" in piece else piece  # left by the reset of a logger
-                yield _with_tabs(piece) if self.dialect.delimiter == BLANKS else piece
+                if self.dialect.delimiter == BLANKS:
+                    piece = piece.replace(b"\t", b" ").replace(b"\r\n", b"\n")
+                    piece = re.sub(rb" *\n *", b"\n", re.sub(rb"(?<=[^ \n]) +(?=[^ \n])", b"\t", piece)).strip(b" ")
+                yield piece
 
     @property
     def separator(self) -> str:
@@ -212,12 +222,6 @@ class TextLog(LogSource):
 
     def place(self, row: int, column: str | None = None) -> str:
         return f"{self.path}: row {row} (line {row + self.top})" + in_column(column)
-
-
-def _with_tabs(piece: bytes) -> bytes:
-    """Return rows with single tabs in place of blanks between the values."""
-    blank = piece.replace(b"\t", b" ").replace(b"\r\n", b"\n")
-    return re.sub(rb" *\n *", b"\n", re.sub(rb"(?<=[^ \n]) +(?=[^ \n])", b"\t", blank)).strip(b" ")
 
 
 def text_log(path: Path, dialect: Dialect | None) -> TextLog:
@@ -247,18 +251,6 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
 def day_of(text: str) -> int:
     """Return the day of a text's date, counted from 1970-01-01; 0 without a date."""
     return int(_days(_normalised(pl.Series([text], dtype=pl.String))).fill_null(0)[0])
-
-
-def date_of(text: str) -> str | None:
-    """Return the date with the time of a text, ISO 8601, in UTC if it has a time zone; None without a date."""
-    day = day_of(text)
-    seconds = seconds_of(pl.Series([text], dtype=pl.String), day)[0] if day else None
-    if not day or seconds is None:
-        return None
-    match = re.search(_TIME, text)
-    zone = UTC if match and match[6] else None
-    start = datetime(1970, 1, 1, tzinfo=zone) + timedelta(days=day)
-    return (start + timedelta(seconds=float(seconds))).isoformat(timespec="seconds")
 
 
 def seconds_of(text: pl.Series, day: int) -> pl.Series:
