@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib import import_module
@@ -13,7 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 
+from tumble.advice import advised
 from tumble.arguments import checked
+from tumble.documents import shown
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath, whole_file
 from tumble.result.correction import corrected_readings
@@ -321,6 +323,16 @@ def _calibration_of_record(read: Any) -> Calibration:
     def part(record: type, values: Mapping[str, Any]) -> dict[str, Any]:
         return {f.name: values[f.name] for f in fields(record) if f.name in values}
 
+    def with_remedies(sentences: Iterable[str]) -> Iterator[str]:
+        for each in sentences:
+            remedy = read.remedies.get(each, "")
+            if not each.endswith(remedy):
+                raise ValueError(f"remedies: expected the end of {shown(each)}, found {shown(remedy)}")
+            yield advised(each.removesuffix(f"; {remedy}"), remedy)
+
+    flat |= {key: tuple(with_remedies(flat[key])) for key in ("notes", "assumptions")}
+    reasons, remarks = (tuple(with_remedies(each)) for each in (read.outcome.reasons, read.outcome.remarks))
+    flat["outcome"] = replace(read.outcome, reasons=reasons, remarks=remarks)
     return Calibration(
         **part(Calibration, flat)
         | {

@@ -31,6 +31,7 @@ from math import erfc, inf, sqrt
 import numpy as np
 import scipy
 
+from tumble.advice import Advised
 from tumble.inference.estimate import Fit
 from tumble.recording.session import Site
 from tumble.result.parts import Parameter, coverage_factor, stated_factor
@@ -183,7 +184,7 @@ def notes_without_expanded(parameters: Sequence[Parameter]) -> Iterator[str]:
     few = {p.name: p.dof for p in parameters if p.dof is not None and p.k is None}
     if few:
         named = ", ".join(few) if len(few) <= MOST_NAMED else f"{len(few)} parameters, first {next(iter(few))}"
-        yield (
-            f"no U is stated for {named}: u has {min(few.values()):.1g} degrees of freedom, fewer than one; record "
-            "more rests or turns"
+        yield Advised(
+            f"no U is stated for {named}: u has {min(few.values()):.1g} degrees of freedom, fewer than one",
+            "record more rests or turns",
         )

@@ -17,6 +17,7 @@ from typing import Any, Literal, get_type_hints
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from tumble.advice import Advised
 from tumble.documents import as_json, dotted, faults_of, is_plain, json_of, shown, text_of_document
 from tumble.errors import CalibrationError, InputError
 from tumble.recording.session import Circumstances, sensors_content
@@ -32,10 +33,10 @@ KEYS = (
     *("format", "device", "method", "frame", "parameters", "covariance", "site", "rests", "turns", "fits"),
     *("accel", "gyro", "mag", "correction", "outcome", "groups", "hyperparameters", "integral", "process_bias"),
     *("budget", "prediction", "axes", "temperature", "iterations", "sample_rate", "clock_u", "circumstances"),
-    *("programme", "readings", "notes", "assumptions", "absent", "launches", "together", "provenance"),
+    *("programme", "readings", "notes", "assumptions", "absent", "remedies", "launches", "together", "provenance"),
 )
 """Keys of the file in their order; `circumstances` is written as "session"."""
-_SENTENCES = ("notes", "assumptions", "absent")  # keys of texts that may have control characters
+_SENTENCES = ("notes", "assumptions", "absent", "remedies")  # keys of texts that may have control characters
 ORIGIN = ("log_sha256", "software", "created", "prior")  # fields of `Provenance` in the table "provenance"
 
 
@@ -45,6 +46,7 @@ def file_record(*parts: type) -> type:
         "format": (Literal[1], field(default=FORMAT)),
         "provenance": (Mapping[str, str], field(default_factory=dict)),
         "correction": (Mapping[str, Any], field(default_factory=dict)),
+        "remedies": (Mapping[str, str], field(default_factory=dict)),
     }
     for part in parts:
         hints = get_type_hints(part, include_extras=True)
@@ -77,6 +79,9 @@ def content_of(calibration: CalibrationData) -> dict[str, Any]:
     for part in (calibration, calibration.evidence, calibration.provenance):
         values |= {each.name: getattr(part, each.name) for each in fields(part)}
     values["correction"] = correction_content(calibration)
+    outcome, origin = calibration.outcome, calibration.provenance
+    sentences = (*outcome.reasons, *outcome.remarks, *origin.notes, *origin.assumptions)
+    values["remedies"] = {sentence: sentence.remedy for sentence in sentences if isinstance(sentence, Advised)}
     values["provenance"] = {key: values[key] for key in ORIGIN if values[key] is not None}
     content: dict[str, Any] = {
         "session" if key == "circumstances" else key: as_json(values[key], _AS_TABLES) for key in KEYS

@@ -210,7 +210,7 @@ def provenance(source: ReportedFile) -> Section:
 def front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], ...]:
     """Return facts on the device, and for a single calibration on its recording, the air, the operator and
     equipment."""
-    rows = [("serial number", first.serial), ("model", first.model or NONE)]
+    rows = [("serial number", first.serial), ("model", first.model or "not stated")]
     if len(titles) > 1:
         return (*rows, ("calibrations", ", ".join(titles)))
     recordings, moments = recording.recordings(first), recording_dates(first)
@@ -222,7 +222,7 @@ def front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], .
         ("programme", first.provenance.programme or "none"),
         ("launches", str(len(recordings))),
         *(recording.site_facts(recordings[0].recorded.site) if first.provenance.site is not None else ()),
-        ("temperature", recording.temperature(recordings)),
+        ("device temperature", recording.temperature(recordings)),
     ]
     if first.gyro is not None:
         clock = first.provenance.clock_u
