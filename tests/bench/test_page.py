@@ -15,6 +15,7 @@ from tests.support.browser import Browser, chromium, eventually, inaccessible
 from tests.support.calibrated import calibration
 from tumble.bench.results import page_content
 from tumble.bench.screens import answers
+from tumble.bench.state import State
 from tumble.bench.station import station_of
 from tumble.inference.estimate import Outcome
 from tumble.planning.setup import Setup
@@ -193,7 +194,7 @@ def test_a_refused_result_shows_the_reason_and_nothing_as_reached(tmp_path: Path
         with served(bench.station) as link:
             shown.browser.open(link)
             for made in (calibration(), refused):
-                state = {**bench.station.state, "result": page_content(made), "can_record": True}
+                state: State = {**bench.station.state, "result": page_content(made), "can_record": True}
                 state["answers"] = answers(state)
                 bench.station.state = state
                 shown.until("h1", "Calibrated: accepted" if made.outcome.accepted else "Calibrated: not accepted")

@@ -14,6 +14,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -527,7 +528,8 @@ def test_a_table_of_readings_has_its_scatter_and_whether_anything_checks_it(
 
 def test_a_height_that_was_not_stated_is_not_zero(content: Any, tmp_path: Path) -> None:
     for height, shown in ((None, "heightnot stated"), (0.0, "height0.0 m")):
-        file = changed(content, tmp_path, lambda content, height=height: content["site"].update(height=height))
+        site = content["site"] | {"height": height}
+        file = changed(content, tmp_path, partial(dict.update, site=site))
         write_report(file, tmp_path / "c.html")
         assert shown in Page.of(tmp_path / "c.html").whole
 
