@@ -426,7 +426,7 @@ def test_what_is_not_stated_is_a_remark_only_where_it_is_most_of_u() -> None:
         gravity = SourceContributions(name="gravity", words="gravity", type="B", contributions=parts)
         made = with_fields(made, assumptions=(height, clock), budget=(gravity,))
         text = "\n".join(line for line in text_of(calibration_blocks(made), 400).splitlines() if "stated" in line)
-        minor = "in u, of which it is the smaller part: "
+        minor = "smaller parts of u: "
         time_base = "the uncertainty of the time base is not stated"
         if share > 0.5:
             assert text == f"{minor}{time_base}\nremark: {height}"

@@ -181,7 +181,7 @@ def calibration_blocks(
         )
     lines += notes_without_expanded(parameters)
     if minor := _minor_assumptions(calibration):
-        lines.append(f"in u, of which it is the smaller part: {'; '.join(minor)}")
+        lines.append(f"smaller parts of u: {'; '.join(minor)}")
     if accepted_kinds(calibration):
         name, others_of_kind = _export_target(calibration, log)
         to = f"{name} -o imu{target(name).ending} ({others_of_kind}others: --help)"
