@@ -16,8 +16,8 @@ G is, for the methods of the turntable paper, the derivative of their passes; fo
 linear columns A and columns B less their part along rotations of the vertical; for `joint` with linear terms N⁻¹ Aᵀ of
 its normal equations, and with those of the whole instrument N_AA⁻¹ N_AB.
 
-This is docs/explanation/mathematics.md (36) with usual sizes; the columns are those of Eq. (12) of the turntable paper,
-for any number of sensors.
+This is docs/explanation/mathematics.md (36) with usual sizes; the linear columns are the rows of Eq. (13) of the
+turntable paper, for any number of sensors.
 """
 
 from __future__ import annotations
