@@ -398,6 +398,22 @@ def test_a_wrong_scale_of_raw_gyros_is_named_with_its_size(
     assert found[2] == direction
 
 
+@pytest.mark.parametrize(("column", "factor"), [("gx", 10.0), ("gy", 0.1), ("gz", 1.0 / DEGREE), ("gx", 0.25)])
+def test_a_gyro_of_another_scale_than_the_others_is_named_with_the_scale_that_fits(
+    recording: Recording, tmp_path: Path, column: str, factor: float
+) -> None:
+    """The turns tell the factor to a few per cent. As advised, the recording is accepted."""
+    wrong = recording.times([column], factor)
+    said = reason(wrong, tmp_path / "rates")
+    found = re.search(rf"column {column!r} reads about ([\d.]+) times what it should.* scale = \[(.*)\] in", said)
+    assert found is not None, said
+    assert float(found[1]) == pytest.approx(factor, rel=0.03)
+    scale = [float(value) for value in found[2].split(", ")]
+    accepted(wrong.saying(gyro__unit="count", gyro__scale_per="rad/s", gyro__scale=scale), tmp_path / "put right")
+    said = reason(recording.counted(415.0, 4770.0, 0.0).times([column], factor), tmp_path / "counts")
+    assert f"column {column!r} reads about" in said
+
+
 def test_a_scale_that_is_off_by_thousands_is_named_and_no_time_in_which_there_is_no_log(
     hand: Recording, tmp_path: Path
 ) -> None:

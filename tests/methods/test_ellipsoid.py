@@ -6,6 +6,7 @@ limits are more than five standard errors wide unless stated otherwise.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -53,7 +54,11 @@ def cube(*kinds: int) -> Array:
 
 
 FOURTEEN = cube(1, 3)
-GROUPS = {"quadratic": np.square, "cubic": lambda force: force**3, "asymmetry": np.abs}
+GROUPS: dict[str, Callable[[Array], Array]] = {
+    "quadratic": np.square,
+    "cubic": lambda force: force**3,
+    "asymmetry": np.abs,
+}
 """Groups beyond the linear model that rests have, with their functions of the specific force."""
 
 

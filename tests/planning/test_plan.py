@@ -18,7 +18,7 @@ from tumble.errors import InputError, ProgrammeError
 from tumble.planning.bounds import Bound, expected_bound
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
-from tumble.planning.plan import Plan, largest_errors, least_rest, plan
+from tumble.planning.plan import Plan, PlannedMethod, largest_errors, least_rest, plan
 from tumble.planning.setup import GROUPS, NAMES, Setup, with_all_groups
 from tumble.programme.positions import from_attitudes, programme
 from tumble.rotation import rotation_vector
@@ -188,7 +188,8 @@ def test_rests_that_are_required_are_found_by_calibrate(tmp_path: Path, rate_deg
     such rests is accepted. A plan refuses shorter ones."""
     setup = Setup.of(grade="mems", rate_deg_s=rate_deg_s, sample_rate=50.0)
     needed, shorter = (replace(setup, rest=least_rest(setup) - less) for less in (0.0, 0.5))
-    for method, wanted in (("joint", 1e-3), ("scalar", 1e-2)):
+    expected: tuple[tuple[PlannedMethod, float], ...] = (("joint", 1e-3), ("scalar", 1e-2))
+    for method, wanted in expected:
         (row,) = plan(setup, method=method, wanted={"accel.scale": wanted}).requirements
         assert row.rest == needed.rest
         assert row.reached < 0.8 * wanted

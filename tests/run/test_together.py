@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from tumble.cli import main
-from tumble.diagnosis.linearised_session import LinearisedSession
+from tumble.diagnosis.causes import LinearisedSession
 from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import diagnostic_solution, projections
 from tumble.diagnosis.verdict import verdict

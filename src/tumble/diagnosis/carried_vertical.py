@@ -12,11 +12,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from tumble.advice import Advised
 from tumble.diagnosis.channels import scale_error
 from tumble.diagnosis.observability import rough_directions
 from tumble.diagnosis.turn_likelihood import (
     WIDTHS,
     TurnLikelihood,
+    column_likelihoods,
     columns_text,
     cost_of_free_scale,
     ends_tilted,
@@ -65,9 +67,12 @@ def vertical_faults(observations: Observations, session: Session, rate: float, g
         "the gyros do not carry the vertical from rest to rest: they miss it by "
         f"{miss.max() / DEGREE:.0f}° at worst and by {np.median(miss) / DEGREE:.0f}° at the median of {len(miss)} turns"
     )
-    likelihoods = turn_likelihoods(list(_tilting_turns(observations, stated.bias, vertical)))
-    duration = float(observations.rests.stop.max())
-    others = sorted(_hypotheses(likelihoods, channels, session.log, rate, duration), key=lambda other: other[0])
+    tilting = list(_tilting_turns(observations, stated.bias, vertical))
+    likelihoods, duration = turn_likelihoods(tilting), float(observations.rests.stop.max())
+    others = [*_hypotheses(likelihoods, channels, session.log, rate, duration)]
+    if likelihoods and block.triad:
+        others += _columns_of_other_scales(column_likelihoods(tilting, block.axes), channels)
+    others.sort(key=lambda other: other[0])
     scale, stated_cost = 1.0, math.inf
     if likelihoods:
         scale = likelihoods[0].found(0.0, SMALL_SCALE_ERROR)
@@ -76,21 +81,33 @@ def vertical_faults(observations: Observations, session: Session, rate: float, g
         return [f"{missed}{others[0][1]}"]
     if channels.raw and np.all(channels.scale == 1.0):
         return [
-            f"{missed}: log.gyro.scale is 1, as if the numbers were no raw ones; write the counts per deg/s of "
-            "the data sheet (16.4, 32.8, 65.5, 131 …), or let `tumble new` find them from the turns"
+            Advised(
+                f"{missed}: log.gyro.scale is 1, as if the numbers were no raw ones",
+                "write the counts per deg/s of the data sheet (16.4, 32.8, 65.5, 131 …), or let `tumble new` find "
+                "them from the turns",
+            )
         ]
     miss = _missed_angles(observations, SensorModel(matrix=scale * stated.matrix, bias=stated.bias), vertical)
-    per_half_turn = miss / np.maximum(1.0, _turned_angles(observations, stated) / np.pi)
+    with np.errstate(invalid="ignore", over="ignore"):  # of implausible rates
+        moments = observations.turns_about(stated).M
+        rate = float(np.median(np.nan_to_num(np.sqrt((moments**2).sum(axis=(1, 2, 3)))) / turns.duration))
+    turned = turns.duration * (rate if rate < FASTEST_TURN else 0.0)  # approximate, with whole revolutions
+    per_half_turn = miss / np.maximum(1.0, turned / np.pi)
     if np.median(per_half_turn) < MEDIAN_MISS:
         return [
-            f"the gyros lose the vertical in {observations.turn_named(int(k))}: they miss it by "
-            f"{miss[k] / DEGREE:.0f}°; look there for damaged or lost samples, or leave it out: [[exclude]] turn = "
-            f"{int(turns.first[k]) + 1}"
+            Advised(
+                f"the gyros lose the vertical in {observations.turn_named(int(k))}: they miss it by "
+                f"{miss[k] / DEGREE:.0f}°",
+                "look there for damaged or lost samples, or leave it out: [[exclude]] turn = "
+                f"{int(turns.first[k]) + 1}",
+            )
             for k in np.flatnonzero(per_half_turn >= LARGEST_MISS)
         ] or upside_down(observations, session, g_sensitivity)
     return [
-        f"{missed}, and no other unit, scale, sign or order of columns explains it: check the columns, the unit "
-        "and [log.gyro] axes"
+        Advised(
+            f"{missed}, and no other unit, scale, sign or order of columns explains it",
+            "check the columns, the unit and [log.gyro] axes",
+        )
     ]
 
 
@@ -144,12 +161,22 @@ def _hypotheses(
     yield wrong_unit + cost_of_free_scale(WIDTHS.scale) + likelihoods[0].at(math.log(ratio)), text
 
 
-def _turned_angles(observations: Observations, gyro: SensorModel) -> Array:
-    """Return the approximate angle (K,), rad, of each turn with its whole revolutions; 0 for implausible rates."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        turns = observations.turns_about(gyro)
-        rate = float(np.median(np.nan_to_num(np.sqrt((turns.M**2).sum(axis=(1, 2, 3)))) / turns.duration))
-    return turns.duration * (rate if rate < FASTEST_TURN else 0.0)
+def _columns_of_other_scales(likelihoods: list[TurnLikelihood], channels: Channels) -> Iterator[tuple[float, str]]:
+    """Yield, for each column of the gyros, another scale of this column alone, as cost and text."""
+    free = cost_of_free_scale(WIDTHS.scale) - 2.0 * math.log(WIDTHS.named_wrongly / len(likelihoods))
+    per = "" if channels.raw else f'unit = "count", scale_per = "{channels.unit_name}" and '
+    for column, (name, likelihood) in enumerate(zip(channels.columns, likelihoods, strict=True)):
+        ratio, scale = likelihood.found(), channels.scale.copy()
+        scale[column] *= ratio
+        remedy = f"{per}scale = [{', '.join(f'{value:.4g}' for value in scale)}] in [log.gyro] would fit"
+        if not channels.raw and channels.unit_name not in GyroTable.SCALE_PER:
+            remedy = "divide it by this"
+        text = (
+            f"; column {name!r} reads about {ratio:.3g} times what it should, as in another unit or range than the "
+            f"other columns: {remedy}"
+        )
+        if abs(math.log(ratio)) > SMALL_SCALE_ERROR:
+            yield free + likelihood.at(math.log(ratio)), text
 
 
 def _missed_angles(observations: Observations, gyro: SensorModel, vertical: Array) -> Array:

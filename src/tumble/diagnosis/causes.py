@@ -15,23 +15,28 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import scipy
 
-from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, with_unit
-from tumble.diagnosis.linearised_session import PATH_STEPS, SHORTEST_TURN, LinearisedSession
+from tumble.advice import Advised, advised, found_in, remedy_of
+from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, Finding, with_unit
 from tumble.diagnosis.projection import FALSE_ALARMS, Projection, diagnostic_solution, projections
-from tumble.earth import earth_rate
+from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import VarianceComponents
-from tumble.rotation import skew
+from tumble.inference.problem import SessionSpan
+from tumble.reduction.observations import Observations, extract_session
+from tumble.rotation import rotation_matrix, rotation_vector, skew
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block, SensorKind
 from tumble.sensors.parameters import PAIRS, PRODUCTS, RATE, group_name, positions_by_group
 from tumble.units import DEGREE, G_STANDARD, Array, IntArray, two_digits
 
+PATH_STEPS = 24  # steps into which the path of a turn is divided
+SHORTEST_TURN = 1e-6  # s: shorter turns only join the parts of one rest
 MEMORY_TIMES = (10.0, 60.0, 300.0)  # s: time constants of a memory that are tried
 PLAY = 0.05 * G_STANDARD
 """Half the width of the play of a hysteresis: a change of the force by twice as much crosses it."""
@@ -45,24 +50,6 @@ JUMP_PLACES = 24
 SHIFT_PLACES = 7
 """Places in a session at which a shift of the gyros is tried; one between two of them is found at either."""
 COARSE_ROUNDING = 0.5  # error of the mean of a rest by rounding, in units of its noise, from which rounding is a cause
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Cause:
-    """A possible cause of the residuals of a session."""
-
-    name: str
-    concerns: tuple[SensorKind, ...]  # the kind of sensor; empty for both kinds
-    p_value: float = 0.0  # probability that chance alone explains the residuals as well
-    by_group: Mapping[str, float] = field(default_factory=dict)
-    """Largest error of a parameter, in its u, if the cause is left out, for each group of the linear model."""
-    sentence: str  # with size and remedy
-    rivals: tuple[str, ...] = ()  # names of causes that the session does not distinguish from it
-
-    @property
-    def damage(self) -> float:
-        """Largest error of any parameter, in its u."""
-        return max(self.by_group.values(), default=0.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -82,7 +69,7 @@ class Candidate:
     """By group, the change beside the effect on the rows, per unit of the size, and its standard uncertainty."""
 
 
-def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -> list[list[Cause]]:
+def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -> list[list[Finding]]:
     """Return for each session the causes that it determines, the most likely candidate of each name and kind of sensor.
 
     The p-value is multiplied by the number of places tried (Bonferroni)."""
@@ -107,7 +94,7 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
         places[c.name, c.concerns] += c.places
     causes_by_session = []
     for s, (by_noise, estimated, by_usual) in enumerate(zip(noise_only, with_scatter, usual_biases, strict=True)):
-        best = dict[tuple[str, tuple[str, ...]], tuple[Cause, IntArray, Projection]]()
+        best = dict[tuple[str, tuple[str, ...]], tuple[Finding, IntArray, Projection]]()
         for c, own_columns in zip(candidates, columns, strict=True):
             name, first, fit = (c.name, c.concerns), by_noise.fit(own_columns, c.largest_u), estimated.fit(own_columns)
             if first is None or fit is None:
@@ -127,27 +114,28 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
                 variance[groups[group]] += u**2
             damage = np.abs(shift) / np.sqrt(variance)
             size = with_unit(float(np.abs(steady.values[: c.sized]).max()), c.unit)
-            cause = Cause(
-                name=c.name,
+            sentence = c.sentences[min(s, len(c.sentences) - 1)]
+            cause = Finding(
+                causes=(c.name,),
                 concerns=c.concerns,
                 p_value=p_value,
                 by_group={group: float(damage[members].max()) for group, members in groups.items()},
-                sentence=c.sentences[min(s, len(c.sentences) - 1)].format(size=size),
+                sentence=advised(found_in(sentence).format(size=size), remedy_of(sentence)),
             )
             best[name] = cause, own_columns, projection
         causes_by_session.append(_beside_the_likeliest(list(best.values())))
     return causes_by_session
 
 
-def _beside_the_likeliest(found: list[tuple[Cause, IntArray, Projection]]) -> list[Cause]:
+def _beside_the_likeliest(found: list[tuple[Finding, IntArray, Projection]]) -> list[Finding]:
     """Return the causes, the likeliest first if it is significant, with the p-values of the others beside it.
 
-    A cause is its rival if neither explains anything beside the other."""
+    A cause is named with it if neither explains anything beside the other."""
     causes = [cause for cause, *_ in found]
     if not causes or min(cause.p_value for cause in causes) > FALSE_ALARMS:
         return causes
     best, best_columns, projection = min(found, key=lambda each: each[0].p_value)
-    best_fit, others = projection.fit(best_columns), list[Cause]()
+    best_fit, others = projection.fit(best_columns), list[Finding]()
     assert best_fit is not None
     for cause, columns, _ in found:
         both, own_fit = projection.fit(np.concatenate([best_columns, columns])), projection.fit(columns)
@@ -161,13 +149,94 @@ def _beside_the_likeliest(found: list[tuple[Cause, IntArray, Projection]]) -> li
         )
         if min(beside, reversed_) > FALSE_ALARMS:
             by_group = {name: max(size, cause.by_group[name]) for name, size in best.by_group.items()}
-            sentence = f"{best.sentence}; or, indistinguishable in this session: {cause.sentence}"
-            best = replace(best, sentence=sentence, by_group=by_group, rivals=(*best.rivals, cause.name))
+            found_both = f"{found_in(best.sentence)}; or, indistinguishable in this session: {found_in(cause.sentence)}"
+            sentence = advised(found_both, " or ".join(filter(None, map(remedy_of, (best.sentence, cause.sentence)))))
+            best = replace(best, sentence=sentence, by_group=by_group, causes=(*best.causes, cause.cause))
         others.append(replace(cause, p_value=max(cause.p_value, beside)))
     return [best, *others]
 
 
 # -------------------- the candidates --------------------
+
+
+class LinearisedSession:
+    """One or several sessions with the forces and rates of their estimate, from which candidates are built."""
+
+    def __init__(self, linearised: Linearisation) -> None:
+        self.linearised = linearised
+        self.problem = linearised.problem.with_lags_at(linearised.point)
+        self.observations = self.problem.observations
+        L = linearised.point.attitudes
+        self.force = linearised.point.gravity * L[:, 1]  # (N, 3), in the body at rest
+        self.rate = self.problem.earth @ L  # (N, 3), of the Earth
+        self.accel: Block = self.observations.accel_block
+        self.first_rests = {part.rests.start for part in self.problem.parts}
+        gyro, about = self.observations.gyro_block, linearised.about
+        self.kinds: list[tuple[SensorKind, Block]] = [("accel", self.accel)]
+        if gyro is not None:
+            self.kinds.append(("gyro", gyro))
+        moved = np.zeros(0, dtype=bool) if about is None else about.moments.T >= SHORTEST_TURN
+        # the parts of one rest are joined by turns of no duration
+        self.has_turns = [bool(moved[part.turns].any()) for part in self.problem.parts]
+
+    @cached_property
+    def observed(self) -> list[Observations]:
+        """The observations of each session."""
+        if self.observations.together is None:
+            return [self.observations]
+        return [extract_session(self.observations, part.rests, part.turns) for part in self.problem.parts]
+
+    @cached_property
+    def _path_rotations(self) -> Array:
+        """Rotations (K, steps, 3, 3) of the body since the start of each turn, taken as about one axis in the body."""
+        about = self.linearised.about
+        if about is None:
+            return np.zeros((0, PATH_STEPS, 3, 3))
+        path = rotation_vector(about.C)
+        angle = np.linalg.norm(path, axis=1, keepdims=True)
+        beyond_half = np.einsum("ka,ka->k", path, about.moments.body[:, 1:4]) < 0.0
+        path = np.where(beyond_half[:, None], path * (1.0 - 2.0 * np.pi / np.maximum(angle, 1e-9)), path)
+        share = (np.arange(PATH_STEPS) + 0.5) / PATH_STEPS
+        back = rotation_matrix(-(share[None, :, None] * path[:, None]).reshape(-1, 3))
+        return np.asarray(back.reshape(-1, PATH_STEPS, 3, 3))
+
+    @cached_property
+    def path_forces(self) -> Array:
+        """Specific forces (K, steps, 3) in the body during each turn."""
+        turns = self.observations.turns
+        if turns is None:
+            return np.zeros((0, PATH_STEPS, 3))
+        return np.asarray(np.einsum("ksab,kb->ksa", self._path_rotations, self.force[turns.first]))
+
+    def zero_columns(self, q: int) -> tuple[Array, Array]:
+        """Return zero columns (N, r, q) of the rests and (K, t, q) of the turns."""
+        rows = self.linearised
+        return np.zeros((*rows.rest.shape[:2], q)), np.zeros((*rows.turn.shape[:2], q))
+
+    def after_rest(self, last: int, part: SessionSpan) -> tuple[Array, Array]:
+        """Return which rests (N,) and turns (K,) of a session follow one of its rests, 0 or 1; ½ for the next turn."""
+        before = self.problem.before_turn[part.turns]
+        after = np.arange(part.rests.start, part.rests.stop) > last
+        return after.astype(float), 0.5 * (1.0 + np.sign(before - last))
+
+    def bias_columns(self, kind: str, at_rest: Array, in_turn: Array) -> tuple[Array, Array]:
+        """Return the columns of biases of a kind of sensor that vary by factors `at_rest` (N, n) and `in_turn`
+        (K, steps, n)."""
+        n, about = at_rest.shape[1], self.linearised.about
+        first = 0 if kind == "accel" else self.accel.size
+        rest, turn = self.zero_columns(n)
+        rest[:, first : first + n] = at_rest[:, :, None] * np.eye(n)
+        if len(turn):
+            turn = self.linearised.bias[:, :, first : first + n] * in_turn.mean(axis=1)[:, None, :]
+        if kind == "accel" and about is not None:
+            turned = np.swapaxes(self._path_rotations, 2, 3) @ np.linalg.pinv(self.accel.axes)  # C s_p
+            self.set_velocity(turn, np.einsum("ksip,ksp,k->kip", turned, in_turn, about.moments.T / PATH_STEPS))
+        return rest, turn
+
+    def set_velocity(self, turn: Array, columns: Array) -> None:
+        """Set the rows of the velocities to columns (K, 3, q), if the estimate uses velocities."""
+        if self.problem.instrument.in_velocities:
+            turn[:, 3:6] = columns
 
 
 def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
@@ -181,8 +250,10 @@ def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
         columns=hysteresis,
         unit=BIAS_UNITS["accel"],
         sentences=[
-            "hysteresis of the accelerometers of {size}, by the sign of the last change of the own force: come to each "
-            "position from both sides"
+            Advised(
+                "hysteresis of the accelerometers of {size}, by the sign of the last change of the own force",
+                "come to each position from both sides",
+            )
         ],
     )
     for kind, block in session.kinds:
@@ -194,8 +265,10 @@ def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
                 columns=session.bias_columns(kind, *lag),
                 unit=_per_g(kind, 1),
                 sentences=[
-                    f"{SENSORS[kind]} that remember the previous attitude by {{size}} for about {time:.0f} s: longer "
-                    "rests, of which the beginning is left out"
+                    Advised(
+                        f"{SENSORS[kind]} that remember the previous attitude by {{size}} for about {time:.0f} s",
+                        "take longer rests, of which the beginning is left out",
+                    )
                 ],
             )
     yield from products(session)
@@ -243,9 +316,12 @@ def jumps(session: LinearisedSession) -> Iterator[Candidate]:
                 unit=BIAS_UNITS[kind],
                 sized=block.size,
                 sentences=[
-                    f"biases of the {SENSORS[kind]} jump by {{size}} after {rest}, as of a driver that measures them "
-                    "anew or of another device, and the values given are means over the rests: calibrate what is "
-                    "before and what is after as launches, each with the times of the other in [[exclude]]"
+                    Advised(
+                        f"biases of the {SENSORS[kind]} jump by {{size}} after {rest}, as of a driver that measures "
+                        "them anew or of another device, and the values given are means over the rests",
+                        "calibrate what is before and what is after as launches, each with the times of the other in "
+                        "[[exclude]]",
+                    )
                     for rest in where
                 ],
                 abrupt=True,
@@ -270,8 +346,11 @@ def shifts(session: LinearisedSession, about: IntegratedTurns, gyro: Block) -> I
             last = part.rests.start + (part.rests.stop - part.rests.start) * place // (SHIFT_PLACES + 1)
             at_rest[part.rests], in_turn[part.turns] = session.after_rest(last, part)
             sentences.append(
-                f"the gyros turn against the accelerometers by {{size}} about {rests.stop[last]:z.0f} s, as on a board "
-                "that is loose: fasten it, and calibrate what is before and what is after as launches"
+                Advised(
+                    f"the gyros turn against the accelerometers by {{size}} about {rests.stop[last]:z.0f} s, as on a "
+                    "board that is loose",
+                    "fasten it, and calibrate what is before and what is after as launches",
+                )
             )
         columns = rest * at_rest[:, None, None], turn * in_turn[:, None, None]
         yield Candidate(name="shift", concerns=("gyro",), columns=columns, unit=(DEGREE, "°"), sentences=sentences)
@@ -344,8 +423,10 @@ def products(session: LinearisedSession) -> Iterator[Candidate]:
             columns=(rest, turn),
             unit=_per_g(kind, 2),
             sentences=[
-                f"{SENSORS[kind]} that read products of forces, by {{size}}: more oblique rests, or use it near the "
-                "attitudes of the session"
+                Advised(
+                    f"{SENSORS[kind]} that read products of forces, by {{size}}",
+                    "take more oblique rests, or use it near the attitudes of the session",
+                )
             ],
         )
 
@@ -365,8 +446,10 @@ def gyro_nonlinearity(session: LinearisedSession, about: IntegratedTurns, gyro: 
         columns=(rest, turn),
         unit=(1e-6 / (10.0 * DEGREE) ** 2, "ppm at 10 °/s"),
         sentences=[
-            "scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate, or "
-            "make them parameters by gyro_cubic in [device.prior]"
+            Advised(
+                "scale factors of the gyros that depend on the rate, by {size}",
+                "turn at the rates of use, at one rate, or make them parameters by gyro_cubic in [device.prior]",
+            )
         ],
     )
 
@@ -375,25 +458,41 @@ def gyro_nonlinearity(session: LinearisedSession, about: IntegratedTurns, gyro: 
 
 
 def earth_rate_errors(session: LinearisedSession) -> Iterator[Candidate]:
-    """Yield an error of the latitude, rad, and a relative error of the clock of the log, by finite differences.
+    """Yield an error of the latitude, rad, and a relative error of the clock of the log.
 
     If a second of the log lasts 1 + ε s, the angles of turns are larger by ε, which is the effect of scale factors of
     the gyros; velocities change as by lever arms and delays. Only the Earth's rate, (1 + ε) Ω in the log's seconds,
-    shows it."""
-    step, latitude, rows = 1e-4, session.observations.site.latitude, session.linearised
+    shows it. The rows are linear in its components along north and up. An error of the latitude moves them along a
+    circle, and its column is the chord to the latitude that fits best, however far the stated one is off."""
+    latitude, rows = session.observations.site.latitude, session.linearised
     assert latitude is not None
-
-    def columns(earth: Array) -> tuple[Array, Array]:
-        changed = linearise(replace(session.problem, earth=np.array(earth)), rows.point, rows.about)
-        rest, turn = ((a - b)[..., None] / step for a, b in zip(rows.residuals, changed.residuals, strict=True))
-        return rest, turn
+    stated, step = session.problem.earth, 1e-4 * EARTH_RATE
+    components = list[tuple[Array, Array]]()  # of a rate northward and upward
+    for axis in np.eye(3)[:2]:
+        changed = linearise(replace(session.problem, earth=stated + step * axis), rows.point, rows.about)
+        rest, turn = (np.subtract(*each) / step for each in zip(rows.residuals, changed.residuals, strict=True))
+        components.append((rest, turn))
+    north_up = np.stack([each[0] for each in components], axis=2), np.stack([each[1] for each in components], axis=2)
+    latitudes = np.append(np.linspace(-0.5 * np.pi, 0.5 * np.pi, 1801), latitude + 1e-4)
+    changes = np.array([earth_rate(each) for each in latitudes.tolist()])[:, :2] - stated[:2]
+    chi_square = np.zeros(len(changes))
+    for each in projections(rows, VarianceComponents(), *north_up):
+        chi_square += ((each.residual - changes * each.length @ each.triangle.T) ** 2).sum(axis=1)
+    best = int(np.argmin(chi_square))
+    chord = changes[best] / (latitudes[best] - latitude)
+    rest, turn = (each @ chord for each in north_up)
 
     yield Candidate(
         name="latitude",
         concerns=(),
-        columns=columns(np.array(earth_rate(latitude + step))),
+        columns=(rest[..., None], turn[..., None]),
         unit=(DEGREE, "°"),
-        sentences=["a latitude that the gyros contradict by {size}: look at latitude_deg in [site], and its sign"],
+        sentences=[
+            Advised(
+                "a latitude that the gyros contradict by {size}",
+                f"look at latitude_deg in [site], and its sign; about {latitudes[best] / DEGREE:z.0f}° would fit",
+            )
+        ],
         largest_u=EARTH_RATE_U,
     )
     by_clock = {name: size for name, size in session.observations.by_clock.items() if name == group_name(name)}
@@ -401,11 +500,13 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Candidate]:
     yield Candidate(
         name="clock",
         concerns=(),
-        columns=columns((1.0 + step) * session.problem.earth),
+        columns=(north_up[0] @ stated[:2, None], north_up[1] @ stated[:2, None]),
         unit=(1e-2, "%"),
         sentences=[
-            "a clock of the log that the Earth's rate contradicts by {size}: look at rate_hz, or the time column and "
-            "its unit, in [log]"
+            Advised(
+                "a clock of the log that the Earth's rate contradicts by {size}",
+                "look at rate_hz, or the time column and its unit, in [log]",
+            )
         ],
         largest_u=EARTH_RATE_U,
         direct={group: (size / u, size) for group, size in by_clock.items()},
@@ -415,7 +516,7 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Candidate]:
 # ---- rounding, which needs no columns
 
 
-def quantisation(session: LinearisedSession, s: int) -> Iterator[Cause]:
+def quantisation(session: LinearisedSession, s: int) -> Iterator[Finding]:
     """Yield kinds of sensors of session s whose rounding errors are large beside the noise of the mean of a rest."""
     rests = session.problem.parts[s].rests
     for kind, _ in session.kinds:
@@ -429,10 +530,13 @@ def quantisation(session: LinearisedSession, s: int) -> Iterator[Cause]:
             worst = int(np.argmax(np.where(coarse, rounding.common_u, 0.0)))
             step, error = float(rounding.step[worst]), float(rounding.common_u[worst])
             scale, unit = BIAS_UNITS[kind]
-            yield Cause(
-                name="quantisation",
+            yield Finding(
+                causes=("quantisation",),
                 concerns=(kind,),
-                sentence=f"steps of the {SENSORS[kind]} of {two_digits(step / scale)} {unit}, which the noise, "
-                f"{two_digits(rounding.noise[worst] / step)} of a step, does not cover: the mean of a rest errs by up "
-                f"to {two_digits(error / scale)} {unit}; log with more digits, or use a smaller range",
+                sentence=Advised(
+                    f"steps of the {SENSORS[kind]} of {two_digits(step / scale)} {unit}, too coarse for the noise of a "
+                    f"reading, {two_digits(rounding.noise[worst] / scale)} {unit}, to average their rounding out: the "
+                    f"mean of a rest errs by up to {two_digits(error / scale)} {unit}",
+                    "log with more digits, or use a smaller range",
+                ),
             )

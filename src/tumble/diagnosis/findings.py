@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 
 from tumble.inference.estimate import Outcome
 from tumble.sensors.parameters import sensor_kind
@@ -36,6 +36,10 @@ class Finding:
         Names of possible causes, the most likely first.
     unsteady : bool
         Whether parameters changed in the session by more than is usual.
+    p_value : float
+        Probability that chance alone explains the residuals as well as the cause does.
+    by_group : mapping of str to float
+        Largest error of a parameter, in its u, if the cause is left out, for each group of the linear model.
     """
 
     sentence: str
@@ -43,6 +47,18 @@ class Finding:
     refuses: bool = False
     causes: tuple[str, ...] = ()
     unsteady: bool = False
+    p_value: float = 0.0
+    by_group: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def cause(self) -> str:
+        """Name of the most likely cause; empty if there is none."""
+        return self.causes[0] if self.causes else ""
+
+    @property
+    def damage(self) -> float:
+        """Largest error of any parameter if the cause is left out, in its u."""
+        return max(self.by_group.values(), default=0.0)
 
     @property
     def kinds(self) -> tuple[str, ...]:

@@ -16,8 +16,8 @@ G is, for the methods of the turntable paper, the derivative of their passes; fo
 linear columns A and columns B less their part along rotations of the vertical; for `joint` with linear terms N⁻¹ Aᵀ of
 its normal equations, and with those of the whole instrument N_AA⁻¹ N_AB.
 
-This is docs/explanation/mathematics.md (36) with usual sizes; the columns are those of Eq. (12) of the turntable paper,
-for any number of sensors.
+This is docs/explanation/mathematics.md (36) with usual sizes; the linear columns are the rows of Eq. (13) of the
+turntable paper, for any number of sensors.
 """
 
 from __future__ import annotations
@@ -278,15 +278,4 @@ def linear_part(estimate: Estimate) -> Estimate:
         groups=(),
         degrees=None if estimate.degrees is None else estimate.degrees[:m],
         budget=None if estimate.budget is None else estimate.budget.carried(np.eye(m, len(estimate.names))),
-    )
-
-
-def omitted_groups_note(estimate: Estimate) -> tuple[str, ...]:
-    """Return a note that an estimate of the linear model has omitted groups in its u; none without such groups."""
-    if not estimate.groups:
-        return ()
-    method = f"method {estimate.method}" + (" with linear terms" if estimate.method == "joint" else "")
-    return (
-        f"the {method} takes errors other than bias, scale factor and axis angles as zero and includes their usual "
-        "size in u; the method joint with all terms estimates them",
     )

@@ -19,8 +19,9 @@ from typing import Any
 
 import numpy as np
 
-from tumble.diagnosis.causes import Candidate, Cause
-from tumble.diagnosis.linearised_session import SHORTEST_TURN, LinearisedSession
+from tumble.advice import Advised
+from tumble.diagnosis.causes import SHORTEST_TURN, Candidate, LinearisedSession
+from tumble.diagnosis.findings import Finding
 from tumble.diagnosis.projection import SumOfSquares, approximate_drops, diagnostic_solution
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation
@@ -73,9 +74,14 @@ def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list
     """Return a loss of samples in the turn of each session where it is most likely; none if time stamps would show it.
 
     `with_scatter` is the solution with the variance components of the estimate."""
-    if not (any(session.has_turns) and session.observations.unstamped):
+    about, in_velocities = session.linearised.about, session.problem.instrument.in_velocities
+    if about is None or not (any(session.has_turns) and session.observations.unstamped):
         return []
-    turn = _loss_columns(session)
+    axis = np.where(about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turn_axes(about, slice(None)))
+    rest, turn = session.zero_columns(2 if in_velocities else 1)
+    turn[:, :3, 0] = axis
+    if in_velocities:
+        turn[:, 3:6, 1] = np.cross(axis, session.linearised.gained)
     drops = approximate_drops(with_scatter.equations.turn_whitening @ turn, *with_scatter.turn_residuals)
     chosen, sentences = np.zeros(len(turn)), list[str]()
     for part, observed in zip(session.problem.parts, session.observed, strict=True):
@@ -85,14 +91,16 @@ def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list
             chosen[part.turns.start + worst] = 1.0
             name, number = observed.turn_named(worst), str(observed.turns.first[worst] + 1)
         sentences.append(
-            f"{name} errs about its own axis by {{size}}: samples are missing or held there; leave it out by turn = "
-            f"{number} in [[exclude]], and record with time stamps"
+            Advised(
+                f"{name} errs about its own axis by {{size}}: samples are missing or held there",
+                f"leave it out by turn = {number} in [[exclude]], and record with time stamps",
+            )
         )
     return [
         Candidate(
             name="lost samples",
             concerns=(),
-            columns=(session.zero_columns(turn.shape[2])[0], turn * chosen[:, None, None]),
+            columns=(rest, turn * chosen[:, None, None]),
             unit=(DEGREE, "°"),
             sentences=sentences,
             places=max(part.turns.stop - part.turns.start for part in session.problem.parts),
@@ -106,20 +114,7 @@ def _turn_axes(about: IntegratedTurns, turns: slice) -> Array:
     return np.asarray(path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9))
 
 
-def _loss_columns(session: LinearisedSession) -> Array:
-    """Return the columns (K, t, q) of a loss in each turn: of its rotation and, if observed, of its velocity."""
-    about = session.linearised.about
-    assert about is not None
-    axis = np.where(about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turn_axes(about, slice(None)))
-    in_velocities = session.problem.instrument.in_velocities
-    _, turn = session.zero_columns(2 if in_velocities else 1)
-    turn[:, :3, 0] = axis
-    if in_velocities:
-        turn[:, 3:6, 1] = np.cross(axis, session.linearised.gained)
-    return turn
-
-
-def samples_held(observations: Observations) -> Cause | None:
+def samples_held(observations: Observations) -> Finding | None:
     """Return the cause that whole samples repeat the one before, if that is not due to coarse resolution."""
     samples = observations.turn_samples
     if samples is None:
@@ -134,11 +129,14 @@ def samples_held(observations: Observations) -> Cause | None:
     fewest = same_in_column.min()
     if same < FEWEST_HELD or same < 0.8 * fewest or fewest > 0.5 * rows:
         return None
-    return Cause(
-        name="lost samples",
+    return Finding(
+        causes=("lost samples",),
         concerns=(),
-        sentence=f"{same} of {rows} samples of the turns are copies of the one before, {100.0 * same / rows:.2g} %: "
-        "the log holds the last sample where one is missing; record all of them",
+        sentence=Advised(
+            f"{same} of {rows} samples of the turns are copies of the one before, {100.0 * same / rows:.2g} %: the log "
+            "holds the last sample where one is missing",
+            "record all of them",
+        ),
     )
 
 
@@ -164,7 +162,7 @@ def scatter_of_turns_only(linearised: Linearisation) -> Solution:
     return solution
 
 
-def lost_in_all_turns(session: LinearisedSession, s: int, turns_only: Solution) -> Cause:
+def lost_in_all_turns(session: LinearisedSession, s: int, turns_only: Solution) -> Finding:
     """Return the cause that samples are missing or held in the turns of session s, from the scatter of their rotations
     about their own axes, in proportion to the angle, against that across them.
 
@@ -181,11 +179,13 @@ def lost_in_all_turns(session: LinearisedSession, s: int, turns_only: Solution) 
         SumOfSquares.along(W @ (angle * directions), residual, covariance)
         for directions in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))
     )
-    return Cause(
-        name="lost samples",
+    return Finding(
+        causes=("lost samples",),
         concerns=("gyro",),
         p_value=along.p_value_against(across),
         by_group={} if jitter_hint(observed) else dict.fromkeys(TURN_GROUPS, np.inf),
-        sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
-        + stamps_remedy(observed),
+        sentence=Advised(
+            "turns that err about their own axis, with their angle: samples are missing or held in the log",
+            stamps_remedy(observed),
+        ),
     )

@@ -63,10 +63,14 @@ def undetermined(readings: Array, *, block: Block) -> Refusal | None:
     if len(distinct) < len(readings):
         counted += f", only {len(distinct)} of them distinct,"
     candidates = {standing(u): rest_rows(block, u[None])[0] for u in faces_and_edges()}
+    plane, (_, extent, axes) = "", np.linalg.svd(directions - directions.mean(axis=0), full_matrices=False)
+    if len(directions) >= 3 and extent[-1] <= 0.1 * extent[0]:
+        normal = axes[2] * np.sign(axes[2][np.argmax(np.abs(axes[2]))])
+        plane = f", all of them in one plane across ({', '.join(f'{v:.2f}' for v in normal)})"
+    missing = ", ".join(in_words(null, [within_kind(name) for name in block.names]))
     return Refusal(
-        reason=f"{counted} determine {rank} of the 9 parameters (rank {rank}){_common_plane(directions)}; "
-        f"undetermined: {', '.join(in_words(null, [within_kind(name) for name in block.names]))}; positions that "
-        f"would help, the most helpful first: {', '.join(most_informative(null, candidates)[0])}",
+        reason=f"{counted} determine {rank} of the 9 parameters (rank {rank}){plane}; undetermined: {missing}; "
+        f"positions that would help, the most helpful first: {', '.join(most_informative(null, candidates)[0])}",
         null=null,
     )
 
@@ -87,15 +91,6 @@ def rest_rows(block: Block, directions: Array, modulus: float = 1.0) -> Array:
     homogeneous = np.concatenate([modulus * directions, np.ones((len(directions), 1))], axis=1)
     jacobian = block.jacobian(np.zeros(len(block.names)))
     return np.asarray(np.einsum("ipr,pqm,iq->irm", tilt_null_space(block.axes, directions), jacobian, homogeneous))
-
-
-def _common_plane(directions: Array) -> str:
-    """Return that all directions lie in one plane, or an empty text."""
-    _, s, Vt = np.linalg.svd(directions - directions.mean(axis=0), full_matrices=len(directions) < 3)
-    if len(directions) < 3 or s[-1] > 0.1 * s[0]:
-        return ""
-    normal = Vt[2] * np.sign(Vt[2][np.argmax(np.abs(Vt[2]))])
-    return f", all of them in one plane across ({', '.join(f'{v:.2f}' for v in normal)})"
 
 
 def in_words(null: Array, names: Sequence[str]) -> list[str]:

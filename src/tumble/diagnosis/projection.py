@@ -43,7 +43,6 @@ from tumble.inference.normal_equations import (
     solve,
     with_local_prior,
 )
-from tumble.inference.problem import Problem
 from tumble.units import Array, IntArray
 
 DETERMINED_HEADING = 0.05
@@ -170,18 +169,14 @@ def diagnostic_solution(
 
 
 def _diagnostic_rows(linearised: Linearisation, usual_sizes: bool = False) -> Linearisation:
-    """Return the rows with the priors and noise with which residuals and causes are judged."""
-    problem = linearised.problem
-    if usual_sizes:
-        problem = replace(problem, prior_u=problem.usual_u, local_u=problem.usual_local_u)
-    else:
-        problem = _with_widened_priors(linearised)
-    return _with_north_rates(linearised.with_priors(problem))
+    """Return the rows with the priors and noise with which residuals and causes are judged.
 
-
-def _with_widened_priors(linearised: Linearisation) -> Problem:
-    """Widen the prior of every group to its estimated size, so that no cause gains from a prior that is too narrow."""
+    The prior of every group is widened to its estimated size, so that no cause gains from a prior that is too narrow.
+    """
     problem, point = linearised.problem, linearised.point
+    if usual_sizes:
+        usual = replace(problem, prior_u=problem.usual_u, local_u=problem.usual_local_u)
+        return _with_north_rates(linearised.with_priors(usual))
     prior_u, local_u = problem.prior_u.copy(), problem.local_u.copy()
     off = np.append(0.0, point.values) - np.append(0.0, problem.prior_mean[1:])
     for members in problem.instrument.members.values():
@@ -191,7 +186,7 @@ def _with_widened_priors(linearised: Linearisation) -> Problem:
         for members in problem.local.members.values():
             places = slice(members.start - problem.local.linear_count, members.stop - problem.local.linear_count)
             local_u[places] *= max(1.0, float(np.sqrt(np.mean((point.local[:, places] / local_u[places]) ** 2))))
-    return replace(problem, prior_u=prior_u, local_u=local_u)
+    return _with_north_rates(linearised.with_priors(replace(problem, prior_u=prior_u, local_u=local_u)))
 
 
 def _with_north_rates(rows: Linearisation) -> Linearisation:

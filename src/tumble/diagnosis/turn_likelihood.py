@@ -30,6 +30,7 @@ LARGEST_MISFIT = 9.0  # of a turn
 GRID = 0.015  # of ln Q
 GRID_PATHS = 40.0, 0.03  # rad, of the median turn, at both ends of the grid
 TILTED = math.cos(8.0 * DEGREE)  # largest cosine between verticals that differ
+LARGEST_FACTOR = 4000.0  # of the readings of one column: °/h for °/s
 SCALE_RANGE = math.log(1e6)  # range of the logarithm of an unknown scale
 
 
@@ -76,6 +77,23 @@ class TurnLikelihood:
     unturned: float  # cost of gyros that read no rotation
     exchange: Array  # (3, 3): reading = exchange · rate, a signed permutation
     exchanged: float  # its cost
+
+    @staticmethod
+    def of(log_q: Array, cosine: Array, angle: Array, widths: Widths, exchange: Array) -> TurnLikelihood:
+        """Return the likelihood of K turns by `angle` (G + 1, K), rad, that miss the vertical by angles of this cosine
+        (G + 1, K), the last without rotation."""
+        kappa = 1.0 / (widths.vertical**2 + (widths.axes * angle) ** 2)
+        density = 2.0 * kappa / -np.expm1(-2.0 * kappa) * np.exp(kappa * (np.minimum(cosine, 1.0) - 1.0))
+        cost = -2.0 * np.log(widths.damaged + (1.0 - widths.damaged) * density).sum(axis=1)
+        kappa_at_best = kappa[np.argmin(cost[:-1])]
+        return TurnLikelihood(
+            log_q=log_q,
+            cost=cost[:-1],
+            misfit=np.minimum(2.0 * kappa_at_best * (1.0 - cosine[:-1]), LARGEST_MISFIT).sum(axis=1),
+            unturned=cost[-1],
+            exchange=exchange,
+            exchanged=0.0 if np.array_equal(exchange, np.eye(3)) else -2.0 * math.log(widths.exchanged / 47.0),
+        )
 
     @property
     def least(self) -> float:
@@ -132,65 +150,76 @@ def turn_likelihoods(
     tuple of TurnLikelihood
         The first of the stated columns; empty if nothing turned.
     """
-    turns = sorted(turns, key=lambda turn: len(turn[0]))[:MOST_TURNS]
-    longest = min(MOST_STEPS, max((len(turn[0]) for turn in turns), default=0))
-    steps = np.zeros((len(turns), -(-longest // COARSE) * COARSE, 3))
-    for row, (sums, _, _) in zip(steps, turns, strict=True):
-        edges = np.linspace(0, len(sums), min(MOST_STEPS, len(sums)), endpoint=False).astype(int)
-        row[: len(edges)] = np.add.reduceat(sums, edges, axis=0)
+    steps, before, behind = _steps_of(turns)
     path = np.linalg.norm(steps, axis=2).sum(axis=1)
-    middle = float(np.median(path)) if turns else 0.0
+    middle = float(np.median(path)) if len(path) else 0.0
     if not 0.0 < middle < math.inf:
         return ()
-    before, behind = (np.array([turn[end] for turn in turns]) for end in (1, 2))
     low, high = (math.log(middle / angle) for angle in GRID_PATHS)
 
     def likelihoods(exchanges: Sequence[Array], grid: float, merged: int, most: int) -> list[TurnLikelihood]:
         log_q = np.arange(low, high, grid)
         q = np.append(np.exp(log_q), np.inf)[:, None]
-        sums = steps[:most].reshape(min(len(turns), most), -1, merged, 3).sum(axis=2)
+        sums = steps[:most].reshape(min(len(steps), most), -1, merged, 3).sum(axis=2)
         cosines = np.empty((len(exchanges), *(q / path[:most]).shape))
         for sign in (1.0, -1.0):  # mirrored gyros turn the other way
             signed = np.linalg.det(exchanges) * sign > 0.0
             if signed.any():
                 start, end = (np.einsum("eij,kj->eki", np.array(exchanges)[signed], v[:most]) for v in (before, behind))
                 cosines[signed] = _cosines(sign * sums, start, end, q)
-        kappa = 1.0 / (widths.vertical**2 + (widths.axes * path[:most] / q) ** 2)
-        peak, out = 2.0 * kappa / -np.expm1(-2.0 * kappa), []
-        for exchange, cosine in zip(exchanges, cosines, strict=True):
-            density = peak * np.exp(kappa * (np.minimum(cosine, 1.0) - 1.0))
-            cost = -2.0 * np.log(widths.damaged + (1.0 - widths.damaged) * density).sum(axis=1)
-            kappa_at_best = kappa[np.argmin(cost[:-1])]
-            exchanged = not np.array_equal(exchange, np.eye(3))
-            out.append(
-                TurnLikelihood(
-                    log_q=log_q,
-                    cost=cost[:-1],
-                    misfit=np.minimum(2.0 * kappa_at_best * (1.0 - cosine[:-1]), LARGEST_MISFIT).sum(axis=1),
-                    unturned=cost[-1],
-                    exchange=exchange,
-                    exchanged=-2.0 * math.log(widths.exchanged / 47.0) if exchanged else 0.0,
-                )
-            )
-        return out
+        pairs = zip(exchanges, cosines, strict=True)
+        return [TurnLikelihood.of(log_q, cosine, path[:most] / q, widths, exchange) for exchange, cosine in pairs]
 
     stated, *exchanges = signed_permutations()
     (first,) = likelihoods([stated], GRID, 1, MOST_TURNS)
-    if first.least < 0.5 * least_cost(len(turns), widths.vertical):
+    if first.least < 0.5 * least_cost(len(steps), widths.vertical):
         return (first,)
     rough = sorted(likelihoods(exchanges, COARSE * GRID, COARSE, MOST_TURNS // 2), key=lambda p: p.least)
     return first, *likelihoods([p.exchange for p in rough[:MOST_EXCHANGES]], GRID, 1, MOST_TURNS)
 
 
+def column_likelihoods(
+    turns: Sequence[tuple[Array, Array, Array]], axes: Array, widths: Widths = WIDTHS
+) -> list[TurnLikelihood]:
+    """Return for each gyro of a triad, with rows of `axes` (3, 3), the likelihood of the turns over the logarithm of a
+    factor by which its readings alone are too large; `turns` and `widths` are those of `turn_likelihoods`."""
+    steps, before, behind = _steps_of(turns)
+    readings = steps.reshape(len(steps), -1, COARSE, 3).sum(axis=2) @ axes.T
+    log_factor = np.arange(-math.log(LARGEST_FACTOR), math.log(LARGEST_FACTOR), GRID)
+    factor = np.append(np.exp(log_factor), np.inf)[:, None, None]
+    likelihoods = []
+    for column in range(3):
+        scaled = np.tile(readings, (len(factor), 1, 1, 1))
+        scaled[..., column] /= factor
+        scaled = scaled @ np.linalg.inv(axes).T
+        (cosine,) = _cosines(scaled, before[None], behind[None], np.ones(1))
+        angle = np.linalg.norm(scaled, axis=3).sum(axis=2)
+        likelihoods.append(TurnLikelihood.of(log_factor, cosine, angle, widths, np.eye(3)))
+    return likelihoods
+
+
+def _steps_of(turns: Sequence[tuple[Array, Array, Array]]) -> tuple[Array, Array, Array]:
+    """Return the shortest turns as sums of readings (K, B, 3), with the verticals (K, 3) before and after them."""
+    turns = sorted(turns, key=lambda turn: len(turn[0]))[:MOST_TURNS]
+    longest = min(MOST_STEPS, max((len(turn[0]) for turn in turns), default=0))
+    steps = np.zeros((len(turns), -(-longest // COARSE) * COARSE, 3))
+    for row, (sums, _, _) in zip(steps, turns, strict=True):
+        edges = np.linspace(0, len(sums), min(MOST_STEPS, len(sums)), endpoint=False).astype(int)
+        row[: len(edges)] = np.add.reduceat(sums, edges, axis=0)
+    before, behind = (np.array([turn[end] for turn in turns]) for end in (1, 2))
+    return steps, before, behind
+
+
 def _cosines(steps: Array, before: Array, behind: Array, q: Array) -> Array:
     """Return the cosines (E, G, K) of the angles by which turns miss the vertical.
 
-    Turns consist of rotations steps (K, B, 3) / q (G, 1), from verticals `before` to `behind` (E, K, 3)."""
-    length = np.linalg.norm(steps, axis=2)
+    Turns consist of rotations steps (K, B, 3) or (G, K, B, 3), over q (G, 1) or 1, from verticals `before` to `behind`
+    (E, K, 3)."""
+    length = np.linalg.norm(steps, axis=-1)
     axes = steps / np.maximum(length, 1e-300)[..., None]
     x, y, z = np.moveaxis(behind[:, None], -1, 0)  # carried back
-    for k in reversed(range(steps.shape[1])):
-        angle, (u, v, w) = length[:, k] / q, axes[:, k].T
+    for k in reversed(range(steps.shape[-2])):
+        angle, (u, v, w) = length[..., k] / q, np.moveaxis(axes[..., k, :], -1, 0)
         c, s = np.cos(angle), np.sin(angle)
         us, vs, ws, rest = u * s, v * s, w * s, 1.0 - c
         uv, uw, vw = u * v * rest, u * w * rest, v * w * rest

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from tumble.advice import Advised, advised, found_in, remedy_of
 from tumble.diagnosis.findings import Finding, refusal, remark
 from tumble.diagnosis.observability import faces_and_edges, most_informative, rest_rows, standing
 from tumble.inference.estimate import DETERMINED, Estimate
@@ -43,20 +44,29 @@ def undetermined(estimate: Estimate, observations: Observations, missing: tuple[
     if missing:
         sentence = f"not observable in this session: {parameter_list(missing)}"
         if one_vertical := one_attitude(observations):
-            sentence = f"{one_vertical}; {sentence}"
+            sentence = advised(f"{found_in(one_vertical)}; {sentence}", remedy_of(one_vertical))
         else:
-            too_few, helpful = _too_few(observations, missing), _most_helpful(estimate, observations, estimate.null)
-            sentence = _joined(too_few, sentence, helpful)
+            block, rests = observations.accel_block, len(observations.rests)
+            needed = len(linear_names(block.names)) if block.size == len("xyz") else 0
+            kinds = {sensor_kind(name) for name in missing}
+            too_few = f"{rests} rests of the {needed} needed" if "accel" in kinds and rests < needed else ""
+            turns = observations.turns_left_out if "gyro" in kinds else ()
+            left_out = "".join(turns[:1]) + (f" (and {len(turns) - 1} more)" if len(turns) > 1 else "")
+            helpful = _most_helpful(estimate, observations, estimate.null)
+            sentence = advised(_joined(too_few, left_out, sentence), helpful)
         findings.append(refusal(sentence, *_groups_of(missing)))
     combinations, u, refused = _poorly_determined(estimate, observations, {sensor_kind(name) for name in missing})
     if len(u):
-        largest, described = [_largest_of(combination) for combination in combinations], list[str]()
-        for combination, parts, each_u in zip(combinations, largest, u, strict=True):
+        largest, described = list[list[int]](), list[str]()
+        for combination, each_u in zip(combinations, u, strict=True):
+            order = np.argsort(-np.abs(combination)).tolist()
+            parts = [i for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
+            largest.append(parts)
             sign = np.sign(combination[parts[0]])
             terms = " ".join(f"{'+' if sign * combination[i] > 0 else '−'} {estimate.names[i]}" for i in parts)
             described.append(f"{terms.removeprefix('+ ')} (known to {100.0 * each_u:.2g} % of its usual size)")
         helpful = _most_helpful(estimate, observations, combinations)
-        sentence = _joined(f"poorly observable in this session: {'; '.join(described)}", helpful)
+        sentence = advised(f"poorly observable in this session: {'; '.join(described)}", helpful)
         # accelerometers first: if they are among them, rests are missing, and they are no better alone
         concerned = tuple(sorted(_groups_of([estimate.names[i] for parts in largest for i in parts])))
         findings.append(Finding(sentence=sentence, concerns=concerned, refuses=refused))
@@ -75,7 +85,7 @@ def six_faces(estimate: Estimate, observations: Observations, missing: Sequence[
         "six faces give bias and scale factor of each axis alone: not observable in this session and taken as 0 is "
         f"{parameter_list(missing)}, whose usual size u includes"
     )
-    return remark(_joined(sentence, _most_helpful(estimate, observations, estimate.null)), "accel")
+    return remark(advised(sentence, _most_helpful(estimate, observations, estimate.null)), "accel")
 
 
 def one_attitude(observations: Observations) -> str:
@@ -84,21 +94,11 @@ def one_attitude(observations: Observations) -> str:
         return ""
     N = len(observations.rests)
     counted = "1 rest" if N == 1 else f"all {N} rests"
-    return (
-        f"the device lay in one attitude ({counted}), which calibrates nothing: put it down in others too, 5 s in "
-        "each (`tumble programme` lists them); `tumble noise` gives the noise of a recording at rest"
+    return Advised(
+        f"the device lay in one attitude ({counted}), which calibrates nothing",
+        "put it down in others too, 5 s in each (`tumble programme` lists them); `tumble noise` gives the noise of a "
+        "recording at rest",
     )
-
-
-def _too_few(observations: Observations, missing: Sequence[str]) -> str:
-    """Return that there are fewer rests than parameters of an accelerometer triad, and which turns were left out."""
-    block, rests = observations.accel_block, len(observations.rests)
-    needed = len(linear_names(block.names)) if block.size == len("xyz") else 0
-    kinds = {sensor_kind(name) for name in missing}
-    too_few = f"{rests} rests of the {needed} needed" if "accel" in kinds and rests < needed else ""
-    turns = observations.turns_left_out if "gyro" in kinds else ()
-    more = f" (and {len(turns) - 1} more)" if len(turns) > 1 else ""
-    return _joined(too_few, f"{turns[0]}{more}" if turns else "")
 
 
 def _joined(*parts: str) -> str:
@@ -165,17 +165,13 @@ def uncertain_gravity(site: Site) -> Iterator[Finding]:
     if np.sqrt(3.0) * relative < POORLY_KNOWN * group_of("accel.scale").limit:
         return
     yield remark(
-        f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: the common "
-        f"scale of the accelerometers is known to {100.0 * relative:.2g} % only, which u includes; state latitude_deg "
-        "and height_m in [site] (--latitude, --height), or gravity",
+        Advised(
+            f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: the "
+            f"common scale of the accelerometers is known to {100.0 * relative:.2g} % only, which u includes",
+            "state latitude_deg and height_m in [site] (--latitude, --height), or gravity",
+        ),
         "accel.scale",
     )
-
-
-def _largest_of(combination: Array) -> list[int]:
-    """Return the parameters with the largest coefficients in a combination (m,), at most four, the largest first."""
-    order = np.argsort(-np.abs(combination))
-    return [int(i) for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
 
 
 def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array) -> str:
@@ -198,7 +194,12 @@ def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array)
             for up in range(3)
             for axis in range(3)
         }
-        recorded, what, unseen = _rows_of_turns(observations), "turns", unseen[:, m:]
+        vertical = unit_vector(observations.accel_block.nominal().apply(observations.rests.accel))
+        turns, of_turns = observations.turns, list[Array]()
+        if turns is not None and len(turns):
+            paths = zip(rotation_vector(turns.C), vertical[turns.first], strict=True)
+            of_turns = [_turn_rows(observations, path, up) for path, up in paths]
+        recorded, what, unseen = np.array(of_turns), "turns", unseen[:, m:]
     most = np.max([np.linalg.norm(rows @ unseen.T, axis=0) for rows in further.values()], axis=0)
     in_noise = np.linalg.norm(recorded.reshape(-1, unseen.shape[1]) @ unseen.T, axis=0) >= most
     helpful, others = most_informative(unseen[~in_noise], further)
@@ -215,16 +216,6 @@ def _most_helpful(estimate: Estimate, observations: Observations, unseen: Array)
             "device lie still, on something firm, for longer"
         )
     return "; ".join(parts)
-
-
-def _rows_of_turns(observations: Observations) -> Array:
-    """Return the sensitivities (K, 2, m) of the turns of a session to the parameters of nominal gyros."""
-    turns, block = observations.turns, observations.gyro_block
-    if turns is None or block is None or not len(turns):
-        return np.zeros((0, 2, 0 if block is None else len(block.names)))
-    vertical = unit_vector(observations.accel_block.nominal().apply(observations.rests.accel))
-    paths = rotation_vector(turns.C)
-    return np.array([_turn_rows(observations, path, vertical[k]) for path, k in zip(paths, turns.first, strict=True)])
 
 
 def _turn_rows(observations: Observations, path: Array, up: Array) -> Array:

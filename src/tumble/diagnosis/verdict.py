@@ -7,19 +7,20 @@ from collections.abc import Iterator
 import numpy as np
 import scipy
 
+from tumble.advice import Advised
 from tumble.diagnosis.findings import Finding, outcome_of, refusal, remark
-from tumble.diagnosis.in_motion import in_motion
-from tumble.diagnosis.misfit import misfit
+from tumble.diagnosis.misfit import misfit, unusual_groups
 from tumble.diagnosis.projection import FALSE_ALARMS
 from tumble.diagnosis.undetermined import faces_alone, linear_names, six_faces, uncertain_gravity, undetermined
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.inference.integral import is_poorly_sampled
+from tumble.inference.problem import LEVER_COLUMNS, SUPPORT_COLUMNS, SUPPORT_U
 from tumble.recording.session import Site
 from tumble.recording.session.document import UNKNOWN_HEIGHT_GRAVITY_U
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation
-from tumble.sensors.parameters import group_name, limits_of, sensor_kind
+from tumble.sensors.parameters import group_name, limits_of, sensor_kind, within_kind
 from tumble.units import DEGREE, G_STANDARD, two_digits
 
 REST_SCATTER_LIMIT = 1e-3 * G_STANDARD  # of readings at rest, for methods with one scatter that leave nothing out
@@ -32,6 +33,11 @@ DOUBTFUL_SIGMAS = 4.0  # of the difference between stated and normal gravity; hi
 IMPOSSIBLE_ANOMALY = 1100.0 * MILLIGAL
 """No anomaly on Earth reaches 1,000 mGal. imu_tk takes a value 1,091 mGal above normal gravity for its recording, on
 which published results rest."""
+
+IN_MOTION = "calibrated in motion"  # start of the note on a result from motion
+MOST_NAMED = 4
+LEAST_GAIN = 0.8  # ratio of u with motion to that without, geometric mean; two minutes in one place reach 0.05 to 0.5
+LARGEST_DISPLACEMENT = 0.3  # m: a larger one contradicts the model of a device that stays in one place
 
 
 def verdict(
@@ -59,14 +65,17 @@ def verdict(
     missing, site = linear_names(estimate.unobservable), observations.site
     of_gravity = (*(() if gravity_confirmed else _doubtful_gravity(site)), *uncertain_gravity(site))
     if observations.links is not None:
-        return outcome_of((*in_motion(estimate, observations, missing), *of_gravity), missing)
+        return outcome_of((*_of_motion(estimate, observations, missing), *of_gravity), missing)
     faces = faces_alone(estimate, missing)
     weak = [] if estimate.reasons or faces else undetermined(estimate, observations, missing)
     findings = [refusal(reason) for reason in estimate.reasons]
     if not estimate.converged and (faces or not missing):
         findings.append(
             refusal(
-                "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
+                Advised(
+                    "the estimate did not converge: the data contradict the model",
+                    "look at the rests with `tumble inspect`",
+                )
             )
         )
     findings += [*of_gravity, *_excessive_scatter(estimate, observations)]
@@ -74,7 +83,11 @@ def verdict(
         findings.append(six_faces(estimate, observations, missing))
     findings += [finding for finding in weak if not finding.refuses]
     findings += [*_not_fitting(estimate, observations), *_impossible_bias(estimate), *map(remark, estimate.remarks)]
-    findings += _residual_findings(estimate, missing, search)
+    without = {sensor_kind(name) for name in missing}
+    if estimate.converged and (not without or (estimate.gyro is not None and len(without) == 1)):
+        # of the other kind of sensors, if parameters of one kind are missing
+        of_residuals = misfit(estimate, search)
+        findings += (each for each in of_residuals if not without or (each.kinds and without.isdisjoint(each.kinds)))
     if estimate.integral is not None and is_poorly_sampled(estimate.integral):
         findings.append(
             remark("u is rough: the integral over scatter, in-run biases and sizes of groups has not settled")
@@ -86,25 +99,28 @@ def verdict(
 
 
 def _doubtful_gravity(site: Site) -> Iterator[Finding]:
-    """Refuse gravity that no place on Earth has, and report gravity that few places have.
-
-    A height of zero is also that of a site whose height is not stated."""
+    """Refuse gravity that no place on Earth has, and report gravity that few places have."""
     anomaly = gravity_anomaly(site)
     if anomaly is not None and abs(anomaly) > IMPOSSIBLE_ANOMALY:
         yield refusal(
-            f"{gravity_text(site)}, more than {IMPOSSIBLE_ANOMALY / MILLIGAL:.0f}: every scale factor of the "
-            "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write "
-            "gravity_confirmed = true",
+            Advised(
+                f"{gravity_text(site)}, more than {IMPOSSIBLE_ANOMALY / MILLIGAL:.0f}: every scale factor of the "
+                "accelerometers would be wrong with it",
+                "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true",
+            ),
             "accel.scale",
         )
         return
-    normal_u = NORMAL_GRAVITY_U if site.height else UNKNOWN_HEIGHT_GRAVITY_U
+    normal_u = UNKNOWN_HEIGHT_GRAVITY_U if site.height is None else NORMAL_GRAVITY_U
     sigmas = abs(anomaly or 0.0) / float(np.hypot(site.gravity_u, normal_u))
     if sigmas > DOUBTFUL_SIGMAS:
+        place = " at sea level" if site.height is None else f" at {site.height:.0f} m"
         yield remark(
-            f"{gravity_text(site)} at {site.height:.0f} m, {sigmas:.1f} times the standard uncertainty of both: "
-            "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true; if it is wrong, "
-            f"so are the scale factors of the accelerometers, by {1e6 * (anomaly or 0.0) / site.gravity:+.0f} ppm",
+            Advised(
+                f"{gravity_text(site)}{place}, {sigmas:.1f} times the standard uncertainty of both: if it is wrong, so "
+                f"are the scale factors of the accelerometers, by {1e6 * (anomaly or 0.0) / site.gravity:+.0f} ppm",
+                "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true",
+            ),
             "accel.scale",
         )
 
@@ -136,20 +152,12 @@ def _excessive_scatter(estimate: Estimate, observations: Observations) -> Iterat
     if turns is not None and turns.scatter > TURN_SCATTER_LIMIT:
         worst = observations.turn_named(int(np.argmax(estimate.turn_sigmas)))
         yield refusal(
-            f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°: look "
-            f"for damaged or lost samples of the gyros, first in {worst}",
+            Advised(
+                f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°",
+                f"look for damaged or lost samples of the gyros, first in {worst}",
+            ),
             "gyro",
         )
-
-
-def _residual_findings(estimate: Estimate, missing: tuple[str, ...], search: bool) -> Iterator[Finding]:
-    """Yield the findings from residuals; if parameters of one kind of sensor are missing, those of the other kind."""
-    without = {sensor_kind(name) for name in missing}
-    if not estimate.converged or (without and (estimate.gyro is None or len(without) > 1)):
-        return
-    for finding in misfit(estimate, search):
-        if not without or (finding.kinds and not without & {*finding.kinds}):
-            yield finding
 
 
 def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Finding]:
@@ -170,8 +178,11 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Fin
     ):
         if omitted.sum() > LARGEST_SHARE * len(omitted):
             yield refusal(
-                f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third: the data contradict the "
-                "model; look at the rests with `tumble inspect`",
+                Advised(
+                    f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third: the data contradict the "
+                    "model",
+                    "look at the rests with `tumble inspect`",
+                ),
                 kind,
             )
 
@@ -192,6 +203,77 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Fin
         yield Finding(sentence=sentence, concerns=() if out is None else ("gyro",), refuses=out is None)
 
 
+# -------------------- motion --------------------
+
+
+def _of_motion(estimate: Estimate, observations: Observations, missing: tuple[str, ...]) -> Iterator[Finding]:
+    """Yield findings about an estimate from motion; `missing` are linear parameters that it does not determine.
+
+    Displacements that follow the attitude, as of a stand that gives way, are SUPPORT_COLUMNS unknowns b ~ N(0, s²) of
+    the estimate (docs/explanation/mathematics.md (40)). The variance of their posterior mean over instruments is at
+    most s², so Σ b²/s² is at most χ² with SUPPORT_COLUMNS degrees of freedom. If it is larger, the displacements exceed
+    the prior, and scale factors and axes contain them."""
+    links, linearised = observations.links, estimate.linearised
+    assert links is not None
+    n = len(observations.rests)
+    sentence = f"{n} rest{'s' * (n != 1)} and {float(links.duration.sum()):.0f} s of motion"
+    advice = (
+        "turn it for two minutes about a point that stays in place, a tripod head or a ball joint, through all "
+        "attitudes, or put it down in nine or more positions (`tumble programme` shows them)"
+    )
+    if not estimate.converged or linearised is None:
+        yield refusal(Advised(f"{sentence} do not fit the model", advice))
+        return
+    if missing:
+        named = ", ".join(missing[:MOST_NAMED]) + (" and others" if len(missing) > MOST_NAMED else "")
+        yield refusal(Advised(f"{sentence} do not determine {named} well enough", advice), *missing)
+    support, displacement = linearised.point.local[0, -SUPPORT_COLUMNS:], float(linearised.components.displacement)
+    if scipy.special.chdtrc(SUPPORT_COLUMNS, float((support**2).sum()) / SUPPORT_U**2) < FALSE_ALARMS:
+        yield refusal(
+            Advised(
+                f"the device moved by {100.0 * float(np.abs(support).max()):.1f} cm and more with its attitude: what "
+                "held it gave way",
+                "hold it by something stiffer, or turn it in the hand without a rhythm",
+            )
+        )
+    elif displacement > LARGEST_DISPLACEMENT and not missing:
+        yield refusal(Advised(f"the device moved by {displacement:.1f} m in motion", "keep it in one place"))
+    yield from unusual_groups(estimate)
+
+
+def improves(moving: Estimate, at_rest: Estimate) -> bool:
+    """Return True if an estimate from motion is to be preferred to that from the rests and turns of its recording.
+
+    Motion adds that the device stays in one place. If it was laid by hand from face to face, the unknowns of its
+    support and the sizes of groups follow its way instead. Rests and turns do not depend on the place: if the device
+    stays there, the scale factors and angles that they determine differ by Δ ~ N(0, C_r − C_m), and Δᵀ C_r⁻¹ Δ is at
+    most χ² with as many degrees of freedom as there are values (Hausman 1978, Econometrica 46, 1251-1271). Biases are
+    means over other times. Where rests and turns determine all linear parameters, motion must also reduce u."""
+    linear = linear_names(at_rest.names)
+    n, is_bias = len(linear), np.array([within_kind(group_name(name)) == "bias" for name in linear], dtype=bool)
+    known = np.flatnonzero(at_rest.observable[:n] & ~is_bias)
+    change = moving.values[known] - at_rest.values[known]
+    square = float(change @ np.linalg.solve(at_rest.covariance[np.ix_(known, known)], change))
+    if len(known) and scipy.special.chdtrc(len(known), square) < FALSE_ALARMS:
+        return False
+    gain = float(np.exp(np.log(moving.u[:n] / at_rest.u[:n]).mean()))
+    complete = moving.converged and not linear_names(moving.unobservable)
+    return bool(linear_names(at_rest.unobservable)) or (complete and gain < LEAST_GAIN)
+
+
+def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ...]:
+    """Return a note on a result from motion, with the point about which the device turned; none for rests and turns."""
+    links, linearised = observations.links, estimate.linearised
+    if links is None or linearised is None:
+        return ()
+    n, lever = len(observations.rests), linearised.point.local[0, -LEVER_COLUMNS - SUPPORT_COLUMNS : -SUPPORT_COLUMNS]
+    place, size = ", ".join(f"{1e3 * x:.0f}" for x in lever), 1e3 * float(linearised.components.displacement)
+    return (
+        f"{IN_MOTION}, from {n} rest{'s' * (n != 1)} and {float(links.duration.sum()):.0f} s of it: "
+        f"the device turned, to within {size:.2g} mm, about a point from which its accelerometers are at ({place}) mm",
+    )
+
+
 # -------------------- recordings --------------------
 
 
@@ -209,7 +291,7 @@ def no_rests(segmentation: Segmentation) -> Outcome:
         "waved through all attitudes `tumble ellipsoid LOG` makes what can be made; `tumble inspect` shows what was "
         "rejected"
     )
-    return Outcome(reasons=(f"{reason}; {advice}",))
+    return Outcome(reasons=(Advised(reason, advice),))
 
 
 def unused_quiet_time(segmentation: Segmentation, *, in_motion: bool = False) -> tuple[str, ...]:
@@ -221,18 +303,21 @@ def unused_quiet_time(segmentation: Segmentation, *, in_motion: bool = False) ->
     unused = sum(stretch.stop - stretch.start for stretch in left_out)
     if unused <= LARGEST_SHARE * (used + unused):
         return ()
-    return (
+    sentence = (
         f"{unused:.0f} s of {used + unused:.0f} s in which the device was quiet are not used as rests, more than a "
-        "third (the notes say why); let it lie still for longer, without vibration or sway",
+        "third (the notes say why)"
     )
+    return (Advised(sentence, "let it lie still for longer, without vibration or sway"),)
 
 
 # -------------------- gravity of the site --------------------
 
 
 def gravity_anomaly(site: Site) -> float | None:
-    """Return gravity of a site less normal gravity, m/s²; None if the latitude is unknown."""
-    return None if site.latitude is None else site.gravity - normal_gravity(site.latitude, site.height)
+    """Return gravity of a site less normal gravity, m/s²; None if the latitude is unknown.
+
+    Without a height normal gravity is that at sea level."""
+    return None if site.latitude is None else site.gravity - normal_gravity(site.latitude, site.height or 0.0)
 
 
 def anomaly_text(site: Site) -> str | None:
@@ -274,8 +359,9 @@ def doubtful_time_base(estimate: Estimate, usual: float) -> tuple[str, ...]:
     t = mean / np.sqrt(variance)
     if 2.0 * scipy.special.stdtr(degrees * (variance / by_spread) ** 2, -abs(t)) > FALSE_ALARMS:
         return ()
-    return (
+    sentence = (
         f"the scale factors of the gyros err alike, by {100.0 * mean:+.2g} %, and differ by {100.0 * spread:.2g} %: "
         "the sample rate or the time stamps are wrong by as much, or the nominal scale of the gyros is, "
-        "indistinguishable in this session; measure the rate by a clock",
+        "indistinguishable in this session"
     )
+    return (Advised(sentence, "measure the rate by a clock"),)

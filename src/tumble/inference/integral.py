@@ -153,7 +153,7 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
     Parameters
     ----------
     fitted
-        The joint maximum.
+        The maximum of ℓ(φ).
     integrate
         False for the posterior given the hyperparameters of the maximum.
     by_source

@@ -2,9 +2,10 @@
 
 The parameters of the instrument, the attitudes of all rests, in-run biases and local gravity are estimated together
 from the rest means of accelerometers and gyros, the rotations and velocities of the turns, the Earth's rate and the
-measured gravity (`tumble.inference.problem`). The joint maximum with the hyperparameters (`tumble.inference.maximum`)
-is found first, and the posterior is integrated over the hyperparameters (`tumble.inference.integral`); values and u are
-those of the posterior. Table angles are not used. The estimate reaches the Cramér–Rao bound.
+measured gravity (`tumble.inference.problem`). First the hyperparameters φ are found that maximise their posterior ℓ(φ),
+all other unknowns integrated out (`tumble.inference.maximum`). Then the posterior of the parameters is integrated over
+φ (`tumble.inference.integral`); values and u are those of this posterior. Table angles are not used. The estimate
+reaches the Cramér–Rao bound.
 
 A parameter of the linear model, or a combination of them, is determined if its u is DETERMINED times smaller than its
 limit.

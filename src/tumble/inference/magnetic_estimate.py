@@ -265,7 +265,7 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
     Parameters
     ----------
     fitted
-        The joint maximum.
+        The maximum of ℓ(φ).
     step : (1 + m,)
         Posterior step of gravity and the parameters from the last linearisation.
     """

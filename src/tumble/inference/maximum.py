@@ -2,11 +2,12 @@
 
 x are gravity, the parameters, those of each session, the attitudes and the states of the in-run biases: the problem is
 linear, or nearly so, in x given φ (`tumble.inference.hyperparameters`). The function to maximise is the logarithm of
-the posterior of φ with x integrated out, r being the residuals at x̂(φ),
+the posterior of φ with x integrated out,
 
     ℓ(φ) = ln p(φ) − ½ [rᵀV⁻¹r + x̂ᵀP₀x̂ + ln |V| − ln |P₀| + 2 Σ ln |diag R|]
 
-docs/explanation/mathematics.md (23), (28) and (29).
+where r are the residuals at x̂(φ), V is the covariance of all rows, P₀ the precision of the priors (x̂ counts from
+their means) and R stands for all triangles of the elimination; docs/explanation/mathematics.md (23), (28) and (29).
 
     x   Gauss–Newton: x ← x + argmin of the residuals linearised at x. Turns are integrated again about the current
         parameters wherever the second-order effect of the change since the last integration matters.

@@ -5,11 +5,12 @@
     C*⁻¹ (S11 − S12 S22⁻¹ S21) ξ1 = λ ξ1, the only positive λ;  ξ2 = −S22⁻¹ S21 ξ1;  S = DᵀD              (20)
 
 for centred and scaled readings. A row of D has the ten monomials of a reading; ξ1 are the first six coefficients.
-The centre of the ellipsoid is the bias, Eq. (13). Its shape gives scale factors and angles, Eq. (12): H⁻¹ = M Mᵀ with
-the Cholesky factor M, in the frame of the accelerometers. 4J − I² > 0 is sufficient for an ellipsoid but not necessary.
-It holds if the shortest semi-axis is at least half the longest, so each channel is scaled. With the Cholesky factor L
-of the matrix in brackets, (20) becomes the symmetric problem L⁻¹ C* L⁻ᵀ z = z/λ, ξ1 = L⁻ᵀ z. C* as printed, with −4,
-belongs to the unknowns d/2, e/2, f/2, with the products taken twice.
+The centre of the ellipsoid is the bias, Eq. (13). Its shape H gives scale factors and angles, Eq. (12): H⁻¹ = m² M Mᵀ,
+where m is the length of the true vector and m M the Cholesky factor of H⁻¹, in the frame of the accelerometers.
+4J − I² > 0 is sufficient for an ellipsoid but not necessary. It holds if the shortest semi-axis is at least half the
+longest, so each channel is scaled. With the Cholesky factor L of the matrix in brackets, (20) becomes the symmetric
+problem L⁻¹ C* L⁻ᵀ z = z/λ, ξ1 = L⁻ᵀ z. C* as printed, with −4, belongs to the unknowns d/2, e/2, f/2, with the products
+taken twice.
 
 Source: Li & Griffiths, Least squares ellipsoid specific fitting (GMP 2004); equation numbers are those of the ellipsoid
 paper (calibration of a triaxial block of navigation accelerometers by ellipsoid fitting), which uses it.

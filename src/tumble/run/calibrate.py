@@ -16,13 +16,13 @@ from typing import Any, Literal, Unpack, get_args
 import numpy as np
 
 from tumble import __version__
+from tumble.advice import Advised, advised, found_in, remedy_of
 from tumble.arguments import checked
 from tumble.diagnosis import linear_model
-from tumble.diagnosis.in_motion import improves, motion_note
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
 from tumble.diagnosis.undetermined import one_attitude
-from tumble.diagnosis.verdict import doubtful_time_base, unused_quiet_time
+from tumble.diagnosis.verdict import doubtful_time_base, improves, motion_note, unused_quiet_time
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
@@ -51,6 +51,10 @@ _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
 Estimator = Callable[[Observations], Estimate]
+_HEIGHT, _DIGITS = "the height is not stated", "gravity is taken to its last digit"
+_TIME_BASE = "the uncertainty of the time base is not stated"
+UNSTATED: Mapping[str, str] = {_HEIGHT: "gravity", _DIGITS: "gravity", _TIME_BASE: "clock"}
+"""Beginning of the sentence on what is not stated and in u, with its source in the uncertainty budget."""
 CLOCK_CONTRADICTED = 3.0  # u of the time base; a larger error of the clock is a remark instead of a note
 
 
@@ -60,9 +64,9 @@ def _imported(module: str, name: str) -> Callable[..., Estimate]:
 
 
 METHODS: Mapping[str, Callable[..., Estimate]] = {"joint": joint, "ellipsoid": _imported("ellipsoid", "ellipsoid")}
-UNSCALED = (
-    "[log.gyro] states no scale for its counts: the accelerometers are calibrated alone; state scale as the data sheet "
-    "has it, and the gyros are too"
+UNSCALED = Advised(
+    "the scale of the counts of the gyros is not stated: the accelerometers are calibrated alone",
+    "state scale in [log.gyro] as the data sheet has it, and the gyros are too",
 )
 ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
     name: _imported("paper.four_stages", name.replace("-", "_")) for name in ("sequential", "scalar", "scalar-nominal")
@@ -181,7 +185,8 @@ def calibrate(
         outcome = _calibrated(whole, method, estimator, frame, terms, progress, prior, base_calibration).outcome
     except InputError as error:  # more rests than positions in the programme, for example after a knock
         outcome = Outcome(reasons=(str(error),))
-    note = f"with what was left out: {': '.join(filter(None, [outcome.verdict, '; '.join(outcome.reasons)]))}"
+    reasons = "; ".join(map(found_in, outcome.reasons))
+    note = f"with what was left out: {': '.join(filter(None, [outcome.verdict, reasons]))}"
     by_choice = tuple(kind for kind in accepted_kinds(calibration) if not outcome.of(kind))
     remark = f"accepted only without what was left out, and u does not include the effect of this choice; {note}"
     return _with(calibration, remarks={remark: by_choice}) if by_choice else _with(calibration, notes=(note,))
@@ -238,7 +243,8 @@ def _calibrated(
                 accel_only = build_calibration(session, *accel_result, systematic, frame, provenance, bridged)
                 if accel_only.outcome.accel.accepted and accel_only.accel is not None:
                     reasons = calibration.outcome.gyro.reasons
-                    because = (f"{reason}; the accelerometers are estimated alone" for reason in reasons)
+                    alone = "the accelerometers are estimated alone"
+                    because = (advised(f"{found_in(each)}; {alone}", remedy_of(each)) for each in reasons)
                     result, calibration, faults = accel_result, accel_only, (*because, *faults)
         estimate, used = result
         little = unused_quiet_time(observed.segmentation, in_motion=used.links is not None)
@@ -325,7 +331,8 @@ def with_grade(session: Session, observations: Observations) -> Observations:
     sheet, noise = session.device.prior, grade_named(grade).noise
     sizes, usual = prior_sizes(grade, sheet), usual_sizes(grade)
     note = f"errors other than bias, scale factor and axis angles have the size usual for the grade {grade}"
-    origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
+    if guessed_from:
+        note = Advised(f"{note}, guessed from {guessed_from}", "state another as [device] grade")
     basis = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
     return replace(
         observations,
@@ -334,7 +341,7 @@ def with_grade(session: Session, observations: Observations) -> Observations:
         too_small=size_factors(grade, sizes, sheet, guessed=bool(guessed_from)),
         in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
         drift={kind: usual[f"{kind}.bias.drift"] for kind in ("accel", "gyro") if f"{kind}.bias.drift" not in sizes},
-        notes=(*observations.notes, note + origin),
+        notes=(*observations.notes, note),
     )
 
 
@@ -364,21 +371,28 @@ def estimate_observations(
             budget = None if budget is None else budget.with_source(source("clock", relative, "1"), clock_covariance)
             estimate = replace(estimate, covariance=estimate.covariance + clock_covariance, budget=budget)
         if linear_joint or estimate.method != "joint":
-            notes += linear_model.omitted_groups_note(estimate)
+            if estimate.groups:
+                notes += (
+                    f"the method {estimate.method}{' with linear terms' * linear_joint} takes errors other than bias, "
+                    "scale factor and axis angles as zero and includes their usual size in u; the method joint with "
+                    "all terms estimates them",
+                )
             estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
         elif prior is not None:
             estimate, prior_notes = with_prior(estimate, observations, prior, mean_temperature(observations))
             notes += prior_notes
         grade, guessed_from = grade_of(session, observations)
         if session.device.grade is not None and guessed_from:
-            remark = (
-                f"[device] grade is {session.device.grade!r}, but by {guessed_from} the device is of the grade "
-                f"{grade}, whose usual sizes are taken: state its grade, or look for what disturbed the recording"
+            remark = Advised(
+                f"the stated grade is {session.device.grade!r}, but by {guessed_from} the device is of the grade "
+                f"{grade}, whose usual sizes are taken",
+                "state its grade in [device], or look for what disturbed the recording",
             )
             estimate = replace(estimate, remarks=(*estimate.remarks, remark))
         estimate = with_common_tilt(estimate, observations)
     except np.linalg.LinAlgError as error:
-        broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
+        broken = f"the estimate broke down ({error}): the data contradict the model"
+        broken = Advised(broken, "look at them with `tumble inspect`")
         return Outcome(reasons=(one_attitude(observations) or broken,))
     return estimate, replace(observations, notes=notes)
 
@@ -389,21 +403,15 @@ def assumptions(session: Session) -> tuple[str, ...]:
     by_clock = clock_effects(log.time_base_u, log.increments)
     mm = f"{1e3 * site.gravity_u:.2g} mm/s²"
     if site.assumed == "height":
-        sentences.append(
-            f"the height is not stated: gravity is that of sea level, with {mm} for heights of 1300 m in u of "
-            "accel.scale; state height_m in [site] (--height), or gravity"
-        )
+        found = f"{_HEIGHT}: gravity is that of sea level, with {mm} for heights of 1300 m in u of accel.scale"
+        sentences.append(Advised(found, "state height_m in [site] (--height), or gravity"))
     elif site.assumed == "digits" and site.gravity_u:
-        sentences.append(
-            f"gravity is taken to its last digit, with {mm} in u of accel.scale; state gravity_u in [site]"
-        )
+        sentences.append(Advised(f"{_DIGITS}, with {mm} in u of accel.scale", "state gravity_u in [site]"))
     if log.clock_u is None and by_clock:
         clock = "time stamps of a crystal" if log.rate is None else "a sample rate without time stamps"
         size = f"{1e6 * log.time_base_u:.0f} ppm" if log.rate is None else f"{1e2 * log.time_base_u:.0f} %"
-        sentences.append(
-            f"the uncertainty of the time base is not stated: {size}, usual for {clock}, is in u of "
-            f"{' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact"
-        )
+        found = f"{_TIME_BASE}: {size}, usual for {clock}, is in u of {' and '.join(by_clock)}"
+        sentences.append(Advised(found, "state clock_ppm_u in [log], 0 where it is exact"))
     return (*sentences, *(f"doubt: {doubt}" for doubt in log.doubts))
 
 

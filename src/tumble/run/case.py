@@ -121,7 +121,13 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
 
     accel, alignment = observations.accel_block, None
     if frame == "case":
-        alignment = case_of(observations, *_verticals_at_rest(estimate, observations))
+        instrument = estimate.instrument or Instrument(accel=accel, gyro=None)
+        values = estimate.values[: len(instrument.names)]
+        force = specific_force(instrument, values, observations.rests.accel)
+        derivative = instrument.derivative(accel, values)[:, :, : len(accel.names)]
+        change = np.einsum("npb,pbm->npm", functions(accel, force, np.zeros_like(force)), derivative)
+        by_parameters = vertical_by_parameters(estimate.accel, force, change)
+        alignment = case_of(observations, unit_vector(force), by_parameters)
     linear = len(estimate.names) if estimate.instrument is None else estimate.instrument.linear_count
     framed = convert(
         accel,
@@ -163,18 +169,3 @@ def estimate_in(frame: Frame, estimate: Estimate, observations: Observations) ->
         degrees=degrees,
     )
     return converted, alignment
-
-
-def _verticals_at_rest(estimate: Estimate, observations: Observations) -> tuple[Array, Array]:
-    """Return the verticals (N, 3) at rest and their derivative (N, 3, m) with respect to the linear accelerometer
-    parameters."""
-    block, rests = observations.accel_block, observations.rests
-    instrument = estimate.instrument or Instrument(accel=block, gyro=None)
-    values = estimate.values[: len(instrument.names)]
-    force = specific_force(instrument, values, rests.accel)
-    change = np.einsum(
-        "npb,pbm->npm",
-        functions(block, force, np.zeros_like(force)),
-        instrument.derivative(block, values)[:, :, : len(block.names)],
-    )
-    return unit_vector(force), vertical_by_parameters(estimate.accel, force, change)

@@ -23,7 +23,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.parts import Parameter
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.sensors.model import Block
-from tumble.units import DEGREE, Array
+from tumble.units import DEGREE
 
 PARAMETER_NAMES = Block(kind="mag", axes=np.eye(3)).names
 MOST_NAMED = 6  # largest number of listed stretches of excluded nodes
@@ -41,7 +41,14 @@ def with_magnetometer(
         missing = replace(calibration.outcome, unobservable=calibration.outcome.unobservable + PARAMETER_NAMES)
         provenance = replace(calibration.provenance, notes=(*calibration.provenance.notes, note))
         return replace(calibration, outcome=missing, provenance=provenance)
-    joint_covariance = _with_covariance(calibration, magnetometer, estimate.names, covariance)
+    # derivatives by the other parameters, which are neglected in another frame than `accelerometer`
+    G = np.zeros((len(magnetometer.values), len(covariance)))
+    if calibration.frame == "accelerometer":
+        columns = dict(zip(estimate.names, magnetometer.by_parameters.T, strict=True))
+        for i, parameter in enumerate(calibration.parameters):
+            G[:, i] = columns[parameter.name]
+    across = G @ covariance
+    joint_covariance = np.block([[covariance, across.T], [across, magnetometer.covariance + across @ G.T]])
     mag_covariance, unit = joint_covariance[len(covariance) :, len(covariance) :], spec.unit_name
     numbers = zip(
         magnetometer.names, magnetometer.values.tolist(), np.sqrt(mag_covariance.diagonal()).tolist(), strict=True
@@ -63,21 +70,6 @@ def with_magnetometer(
         ),
         provenance=replace(calibration.provenance, notes=notes),
     )
-
-
-def _with_covariance(
-    calibration: Calibration, magnetometer: MagnetometerEstimate, names: tuple[str, ...], covariance: Array
-) -> Array:
-    """Return the covariance of the parameters of a calibration and its magnetometer.
-
-    These depend on the others by their derivatives, which are neglected in another frame than `accelerometer`."""
-    G = np.zeros((len(magnetometer.values), len(covariance)))
-    if calibration.frame == "accelerometer":
-        columns = dict(zip(names, magnetometer.by_parameters.T, strict=True))
-        for i, parameter in enumerate(calibration.parameters):
-            G[:, i] = columns[parameter.name]
-    across = G @ covariance
-    return np.block([[covariance, across.T], [across, magnetometer.covariance + across @ G.T]])
 
 
 def _notes(magnetometer: MagnetometerEstimate, observations: Observations, spec: Channels) -> Iterator[str]:

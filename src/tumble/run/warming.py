@@ -38,6 +38,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
+from tumble.advice import Advised
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
@@ -54,7 +55,6 @@ from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import degrees_through, welch_satterthwaite
 from tumble.result.parts import (
-    CalibratedTemperature,
     Evidence,
     Parameter,
     Provenance,
@@ -65,11 +65,10 @@ from tumble.result.record import to_references
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.from_estimate import (
     LAGS,
+    calibrated_temperature,
     check_sensors,
-    mean_temperature,
     refused_calibration,
     rest_results,
-    sensor_temperatures,
 )
 from tumble.run.observed import Observed, observations_in_parts
 from tumble.sensors.model import Block, SensorModel
@@ -231,7 +230,7 @@ def _nominal(session: Session, estimate: Estimate, observations: Observations) -
     absent = f"{', '.join(dict.fromkeys(map(group_name, missing)))}: not shown at rest, taken as 0"
     provenance = Provenance(
         absent=(absent,),
-        assumptions=(f"{absent}; tumble calibrate LOG --base FILE.json takes them from a calibration",),
+        assumptions=(Advised(absent, "tumble calibrate LOG --base FILE.json takes them from a calibration"),),
     )
     nothing = refused_calibration(session, "joint", Outcome(unobservable=missing), provenance)
     return replace(
@@ -244,7 +243,7 @@ def _nominal(session: Session, estimate: Estimate, observations: Observations) -
         accel=models["accel"],
         gyro=models.get("gyro"),
         axes={block.kind: tuple(map(tuple, block.axes.tolist())) for block in blocks},
-        temperature=_temperature(session, observations),
+        temperature=calibrated_temperature(session, observations),
         evidence=Evidence(
             fits=estimate.fits,
             hyperparameters=estimate.hyperparameters,
@@ -266,10 +265,9 @@ def _with_coefficients(
     kept = [i for i, p in enumerate(base.parameters) if group_name(p.name) not in replaced]
     kept_names, has_reference = [base.parameters[i].name for i in kept], base.reference_temperature is not None
     names, first = [*kept_names, *new], len(kept)
-    move = np.eye(len(estimate.names))
+    move, here = np.eye(len(estimate.names)), calibrated_temperature(session, observations)
     if has_reference:  # convert from the references of this recording
-        here = replace(base, temperature=_temperature(session, observations))
-        move = to_references(here, estimate.names, base.temperature)
+        move = to_references(replace(base, temperature=here), estimate.names, base.temperature)
     move = move[[estimate.names.index(name) for name in new]]
     budget = estimate.budget.carried(move)
     estimated = move @ estimate.covariance @ move.T
@@ -344,7 +342,7 @@ def _with_coefficients(
             *(group for group in base.groups if group.name not in replaced),
             *(replace(group, kept=True) for group in estimate.groups if group.name in replaced),
         ),
-        temperature=replace(base.temperature, range=None) if has_reference else _temperature(session, observations),
+        temperature=replace(base.temperature, range=None) if has_reference else here,
         evidence=replace(base.evidence, rests=(*base.evidence.rests, *rests), budget=tuple(lines.values())),
     )
 
@@ -366,16 +364,6 @@ def _lag_degrees(estimate: Estimate, kind: str) -> float | None:
     return max(0.5 / max(float(share * r), 1e-6) ** 2, FEWEST_DEGREES)
 
 
-def _temperature(session: Session, observations: Observations) -> CalibratedTemperature:
-    channels = session.log.temperature
-    assert channels is not None
-    return CalibratedTemperature(
-        reference=mean_temperature(observations),
-        thermometers={block.kind: channels.names(block.kind) for block in _blocks(observations)},
-        references=sensor_temperatures(observations),
-    )
-
-
 def _kelvin(observations: Observations) -> Array:
     assert observations.rests.temperatures is not None
     return observations.rests.temperatures
@@ -392,16 +380,17 @@ def _notes(estimate: Estimate, observations: Observations, base: Calibration | N
             i = estimate.names.index(name)
             yield f"the {sensors} are {estimate.values[i]:z.0f} s behind their thermometer, u {estimate.u[i]:.0f} s"
     if not any(variable_of(name) == "hysteresis" for name in estimate.names):
-        yield (
-            "the temperature only rose or only fell: hysteresis is not determined, and not in u; let the device warm "
-            "and cool in one recording"
+        yield Advised(
+            "the temperature only rose or only fell: hysteresis is not determined, and not in u",
+            "let the device warm and cool in one recording",
         )
     if base is None and observations.gyro_block is not None:
         yield "u of gyro.bias includes gravity, by the g-sensitivity that is usual for the grade"
     if one_direction(observations.rests.accel):
-        yield (
+        yield Advised(
             "in one attitude a change of the scale factor of an accelerometer looks like one of its bias: the result "
-            "is right in this attitude, and u includes the usual difference in others; record another attitude too"
+            "is right in this attitude, and u includes the usual difference in others",
+            "record another attitude too",
         )
 
 
@@ -409,12 +398,14 @@ def _assumptions(observations: Observations, base: Calibration | None, doubts: I
     yield from (f"doubt: {doubt}" for doubt in doubts)
     span = float(np.ptp(_kelvin(observations), axis=0).max())
     if span < WIDE:
-        yield (
+        yield Advised(
             f"the temperatures span {span:.1f} K, less than {WIDE:.0f}: curvatures have their usual sizes, and beyond "
-            "these temperatures the result is hardly valid; warm or cool the device through those of its use"
+            "these temperatures the result is hardly valid",
+            "warm or cool the device through those of its use",
         )
     if base is not None and base.reference_temperature is None:
-        yield (
+        yield Advised(
             f"the calibration of {base.serial} does not state its temperature: any of this recording is assumed, "
-            "which is in u of its biases; calibrate a recording with its thermometer"
+            "which is in u of its biases",
+            "calibrate a recording with its thermometer",
         )
