@@ -44,6 +44,7 @@ SMOOTHING_NOISE = 0.5  # steps: noise from which rounding is negligible
 SAME_READING = 0.2  # steps: standard deviation of the means of rests with the same reading
 RARE = 0.01  # fraction of samples up to which a second value is not informative
 IS_DECIMAL = 1e-4  # deviation of the logarithm to base 10 of a step from a whole number
+DECIMAL_NOISE = 0.6  # steps: noise that may be found for SMOOTHING_NOISE, as the distance of two edges errs by σ/√6
 DECIMAL_UNITS = 1.0, DEGREE, G_STANDARD  # of readings in a log, SI
 LITTLE_NOISE = 0.1  # steps: noise below which a reading stays on one step while the true value does
 _TERMS = np.arange(1, 40)
@@ -112,7 +113,7 @@ def rounding(samples: Array, rests: Sequence[Array], channels: Sequence[ChannelS
             noise[i] = relative[i] * step[i]
     digits = np.log10(np.divide.outer(DECIMAL_UNITS, np.where(step > 0.0, step, 1.0)))
     decimal = (np.abs(digits - np.round(digits)) < IS_DECIMAL).any(axis=0)
-    decimal_u = np.where(decimal & (relative <= SMOOTHING_NOISE), noise / np.sqrt(12.0), 0.0)
+    decimal_u = np.where(decimal & (relative < DECIMAL_NOISE), noise / np.sqrt(12.0), 0.0)
     return Rounding(
         step=step,
         noise=noise,
