@@ -5,6 +5,7 @@ at rest, with the unit, scale, offset or columns that would explain it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -157,14 +158,23 @@ def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> list[str]:
     ]
 
 
-def channel_faults(reduction: Reduction, log: LogSpec) -> list[str]:
-    """Return the channels that are dead, stuck, clipped or damaged."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChannelFault:
+    """A fault of a sensor, by its number among those of its kind."""
+
+    sensor: int
+    sentence: str
+    clipped: bool = False  # the sensor is sound within its range
+
+
+def channel_faults(reduction: Reduction, log: LogSpec) -> tuple[list[ChannelFault], list[ChannelFault]]:
+    """Return the accelerometers and the gyros that are dead, stuck, clipped or damaged."""
     accel, gyros = block_means(reduction)
-    faults = list(_faults_of_kind(reduction.accel_channels, accel, log.accel, reduction.rate, "use a larger range"))
-    if log.gyro is not None:
-        advice = "use a larger range or turn more slowly"
-        faults += _faults_of_kind(reduction.gyro_channels, gyros, log.gyro, reduction.rate, advice)
-    return faults
+    of_accel = list(_faults_of_kind(reduction.accel_channels, accel, log.accel, reduction.rate, "use a larger range"))
+    if log.gyro is None:
+        return of_accel, []
+    advice = "use a larger range or turn more slowly"
+    return of_accel, list(_faults_of_kind(reduction.gyro_channels, gyros, log.gyro, reduction.rate, advice))
 
 
 def block_means(reduction: Reduction) -> tuple[Array, Array]:
@@ -175,7 +185,7 @@ def block_means(reduction: Reduction) -> tuple[Array, Array]:
 
 def _faults_of_kind(
     states: tuple[ChannelState, ...], means: Array, channels: Channels, rate: float, advice: str
-) -> Iterator[str]:
+) -> Iterator[ChannelFault]:
     """Yield the faults of the channels of one kind of sensor; `means` (K, n) are those of blocks, SI."""
 
     def logged(value: float, sensor: int) -> str:
@@ -186,17 +196,20 @@ def _faults_of_kind(
     for i, (column, state) in enumerate(zip(channels.columns, states, strict=True)):
         extreme = max(state.minimum, state.maximum, key=abs)
         if abs(extreme) > LARGEST_READING:
-            yield (
+            sentence = (
                 f"column {column!r} is damaged: it reads {logged(extreme, i)}, which no sensor does; remove such rows "
                 "or write nan in them"
             )
+            yield ChannelFault(sensor=i, sentence=sentence)
         elif state.minimum == state.maximum:
-            yield f"column {column!r} is dead: all {state.samples} samples are {logged(state.minimum, i)}"
+            dead = f"column {column!r} is dead: all {state.samples} samples are {logged(state.minimum, i)}"
+            yield ChannelFault(sensor=i, sentence=dead)
         elif clipped := _clipped(state, means[:, i], channels.range):
-            yield f"column {column!r} is clipped: {clipped}, up to {state.extreme_stop:.2f} s; {advice}"
+            sentence = f"column {column!r} is clipped: {clipped}, up to {state.extreme_stop:.2f} s; {advice}"
+            yield ChannelFault(sensor=i, sentence=sentence, clipped=True)
         elif state.run >= rate and _is_fault(state, state.run, state.run):
-            value = logged(state.run_value, i)
-            yield f"column {column!r} is stuck: {state.run} samples in a row are {value}, up to {state.run_stop:.2f} s"
+            stuck = f"{state.run} samples in a row are {logged(state.run_value, i)}, up to {state.run_stop:.2f} s"
+            yield ChannelFault(sensor=i, sentence=f"column {column!r} is stuck: {stuck}")
 
 
 def _clipped(state: ChannelState, means: Array, full_scale: float | None) -> str:

@@ -56,7 +56,8 @@ def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS) ->
     if ACCEL not in draft.triads:
         return out, []
     try:
-        faults = list(inspect_session(out.session(), progress=progress).faults)
+        observed = inspect_session(out.session(), progress=progress)
+        faults = [*observed.faults, *observed.gyro_faults]
     except (TumbleError, np.linalg.LinAlgError) as error:
         faults = [str(error)]
     if best.profile is None or best.gyro is None:
