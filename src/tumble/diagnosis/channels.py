@@ -254,11 +254,11 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
         by_gyros = (logged - channels.offset[:n]) / channels.scale[:n] * channels.unit.factor
         by_gyros = by_gyros @ onto_body(channels.axes[:n]).T
         gyro_magnitude = float(np.median(np.linalg.norm(by_gyros, axis=1)))
-        like_gravity = _like_gravity(by_gyros)
+        gyros_like_gravity = like_gravity(by_gyros)
         in_a_unit = magnitude < 0.5 * g and bool(fitting_units(gyro_magnitude / unit_of_g, rates))
         if fitting_units(magnitude / unit_of_g, rates):  # a gyro bias may be near g; gravity has many directions
-            in_a_unit = in_a_unit and like_gravity and not _like_gravity(force)
-        if (is_near_one(gyro_magnitude / g) and like_gravity) or in_a_unit:
+            in_a_unit = in_a_unit and gyros_like_gravity and not like_gravity(force)
+        if (is_near_one(gyro_magnitude / g) and gyros_like_gravity) or in_a_unit:
             return [
                 f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and the "
                 f"gyro columns have the magnitude of gravity; exchange [log.accel] columns and [log.gyro] columns"
@@ -266,7 +266,7 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
     read = f"the accelerometers read {magnitude:.4g} m/s^2 at the median, expected {g:.4g} m/s^2"
     if channels.raw:
         return [f"{read}: {_scale_or_offset(force, magnitude, channels, g)}"]
-    units = fitting_units(magnitude / unit_of_g, rates | (increments if _like_gravity(force) else {}))
+    units = fitting_units(magnitude / unit_of_g, rates | (increments if like_gravity(force) else {}))
     if units:
         fit = " or ".join(f'"{name}"' for name in units)
         return [f'{read}: the unit of [log.accel] is not "{channels.unit_name}"; {fit} would fit']
@@ -294,7 +294,7 @@ def scale_error(ratio: float) -> str:
     return f"{ratio:.3g} times too small" if ratio > 1.0 else f"{1.0 / ratio:.3g} times too large"
 
 
-def _like_gravity(force: Array) -> bool:
+def like_gravity(force: Array) -> bool:
     """Return True if vectors (K, 3) have one length and many directions, unlike those without gravity."""
     length = np.linalg.norm(force, axis=1)
     low, median, high = np.quantile(length, [0.25, 0.5, 0.75])
