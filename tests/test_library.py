@@ -288,6 +288,10 @@ def test_arrays_lists_and_frames_are_corrected_alike(calibration: tumble.Calibra
             "expected m/s^2, found a column 'ax [g]'",
         ),
         ([["x", "y", "z"]], None, None, "accel: expected an array of numbers, found list"),
+        ([["1.0", "0.0", "9.8"]], None, None, "accel: expected an array of numbers, found list: it has text"),
+        (np.full((5, 3), "1.0"), None, None, "accel: expected an array of numbers, found ndarray: it has text"),
+        (pl.DataFrame({"x": ["1.0"], "y": [0.0], "z": [0.0]}), None, None, "found DataFrame: it has text; convert"),
+        (np.ones((5, 3)), None, [b"0.01"] * 5, "dt: expected an array of numbers, found list: it has text"),
         (np.ones((5, 3)), None, np.ones(4), "dt: expected a number for each sample, (5,), found the shape (4,)"),
     ],
 )
@@ -304,6 +308,10 @@ def test_a_calibration_is_a_mapping_of_its_parameters(calibration: tumble.Calibr
     assert dict(calibration)["accel.bias.x"] is calibration["accel.bias.x"]
     assert "accel.bias.x" in calibration
     assert "accel.bias.w" not in calibration
+    with pytest.raises(KeyError, match=r"no parameter 'accel\.bais\.x'; did you mean 'accel\.bias\.x'\?"):
+        calibration["accel.bais.x"]
+    with pytest.raises(KeyError, match=r"no parameter 'q'; there are accel\.bias\.x, "):
+        calibration["q"]
 
 
 def test_a_calibration_equals_its_copy_and_its_file(calibration: tumble.Calibration, tmp_path: Path) -> None:

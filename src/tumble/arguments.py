@@ -74,6 +74,9 @@ def array_of(what: str, given: npt.ArrayLike | None) -> Array:
         if given is None:
             raise TypeError("give readings")
         numbers = np.asarray(given)
+        texts = numbers.flat if numbers.dtype.kind == "O" else ()
+        if numbers.dtype.kind in "SU" or any(isinstance(each, str | bytes) for each in texts):
+            raise TypeError("it has text; convert the text to numbers, such as with astype(float)")
         dtypes: Any = getattr(given, "dtypes", None)  # one for each column of a frame
         if dtypes is None and numbers.dtype.kind == "f":
             return numbers if numbers.dtype.char == "d" else numbers.astype(np.float64)

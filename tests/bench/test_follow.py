@@ -16,7 +16,7 @@ from tests.support.browser import eventually
 from tests.support.shared import session as shared_session
 from tumble import Setup, calibrate
 from tumble.bench import screens
-from tumble.bench.follow.estimates import estimate_so_far, gains
+from tumble.bench.follow.estimates import DIRECTIONS, best_next, estimate_so_far, gains
 from tumble.bench.follow.faults import SampleWatch
 from tumble.bench.follow.task import Task, Wanted, wanted_by_group
 from tumble.bench.record.recorder import NOTHING_RECEIVED
@@ -415,3 +415,12 @@ def test_a_further_rest_leaves_of_the_uncertainty_what_was_forecast(gravity_u: f
         forecast = gains(before, wanted.group, block, wanted.accel, session.site, up)[0]
         ratios.append(u[1] / u[0] / forecast)
     assert np.all(np.abs(np.array(ratios) - 1.0) < 0.1)
+
+
+@pytest.mark.parametrize(
+    ("gain", "said"), [(0.23, "X up, Z up: uncertainty of the accelerometers 23 % smaller"), (0.004, "")]
+)
+def test_the_best_next_rest_is_named_with_its_gain_or_not_at_all(gain: float, said: str) -> None:
+    """Where gravity, which every rest shares, is most of u, the best direction is arbitrary and gains nothing."""
+    along = DIRECTIONS @ np.array([1.0, 0.0, 1.0]) / np.sqrt(2.0)
+    assert best_next(1.0 - gain * np.maximum(along, 0.0) ** 2) == said

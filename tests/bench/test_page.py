@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,12 @@ import pytest
 
 from tests.support.bench_driver import SITE, Bench, served
 from tests.support.browser import Browser, chromium, eventually, inaccessible
+from tests.support.calibrated import calibration
+from tumble.bench.results import page_content
+from tumble.bench.screens import answers
+from tumble.bench.state import State
 from tumble.bench.station import station_of
+from tumble.inference.estimate import Outcome
 from tumble.planning.setup import Setup
 from tumble.result.calibration import read_calibration
 from tumble.simulation.session import simulate_session
@@ -179,3 +185,23 @@ def test_every_state_of_a_session_by_keyboard_alone(tmp_path: Path, monkeypatch:
     assert shown.faults == []
     assert browser.console == []
     assert all(url.startswith(tuple(origins)) for url in browser.requests)
+
+
+def test_a_refused_result_shows_the_reason_and_nothing_as_reached(tmp_path: Path) -> None:
+    bench, shown = Bench(tmp_path / "launch", "nine"), Shown(tmp_path)
+    refused = replace(calibration(), outcome=Outcome(reasons=("the gyros do not carry the vertical",)))
+    try:
+        with served(bench.station) as link:
+            shown.browser.open(link)
+            for made in (calibration(), refused):
+                state: State = {**bench.station.state, "result": page_content(made), "can_record": True}
+                state["answers"] = answers(state)
+                bench.station.state = state
+                shown.until("h1", "Calibrated: accepted" if made.outcome.accepted else "Calibrated: not accepted")
+                assert ("reached" in shown.browser.text("#parameters")) is made.outcome.accepted
+            assert "the gyros do not carry the vertical" in shown.browser.text("#reasons")
+            shown.look("refused")
+    finally:
+        shown.browser.close()
+        bench.close()
+    assert shown.faults == []

@@ -340,7 +340,7 @@ def test_a_launch_that_is_refused_refuses_the_mean_and_is_named(sessions: Path) 
 
 
 def test_reasons_are_a_few_lines_unless_all_is_asked_for(sessions: Path) -> None:
-    """Cut between clauses; the file has every word."""
+    """Clauses in the middle are left out, not what was found nor what to do; the file has every word."""
     log = sessions / "one" / "log.parquet"
     _edit(sessions / "one", lambda content: content["log"].pop("gyro"))  # with gyros it would be calibrated in motion
     pl.read_parquet(log).with_columns(ax=3.0 * pl.col("t").sin(), ay=9.0 * pl.col("t").cos()).write_parquet(log)
@@ -349,10 +349,11 @@ def test_reasons_are_a_few_lines_unless_all_is_asked_for(sessions: Path) -> None
     (whole,) = json.loads((sessions / "one/calibration.json").read_text(encoding="utf-8"))["outcome"]["reasons"]
     assert f"not accepted: {whole}\n" in run("calibrate", sessions / "one", "--all").stderr
     (shown,) = [line for line in result.stderr.splitlines() if line.startswith("not accepted: ")]
-    begun = shown.removeprefix("not accepted: ").removesuffix(" (more: --all)")
+    begun, last = shown.removeprefix("not accepted: ").removesuffix(" (more: --all)").split("; …; ")
     assert len(whole) > 400
-    assert 200 < len(begun) <= 300
+    assert len(begun) + len(last) <= 300
     assert whole.startswith(f"{begun}; ")
+    assert whole.endswith(f"; {last}")
 
 
 def test_names_that_look_like_markup_are_shown_as_they_are(sessions: Path) -> None:

@@ -173,7 +173,7 @@ def test_a_grade_that_the_noise_rules_out_gives_way_and_is_said(tmp_path: Path) 
         found.append(calibrate(folder))
     right, wrong = found
     (said,) = wrong.outcome.remarks
-    assert "[device] grade is 'navigation', but by the noise the device is of the grade mems" in said
+    assert "the stated grade is 'navigation', but by the noise the device is of the grade mems" in said
     assert right.outcome.verdict == "accepted"
     assert [p.u for p in wrong.parameters] == pytest.approx([p.u for p in right.parameters], rel=0.5)
 

@@ -310,7 +310,7 @@ def test_gravity_that_no_place_has_is_refused_unless_confirmed() -> None:
 def test_stated_gravity_that_few_places_have_is_remarked() -> None:
     """Normal gravity has a standard uncertainty of 30 mGal; 4.1 of these are 123 mGal."""
     estimate, observations = estimated("none")
-    normal = normal_gravity(observations.site.latitude or 0.0, observations.site.height)
+    normal = normal_gravity(observations.site.latitude or 0.0, observations.site.height or 0.0)
 
     def found(gravity: float, u: float, *, confirmed: bool = False) -> list[str]:
         site = replace(observations.site, gravity=gravity, gravity_u=u)
@@ -323,7 +323,7 @@ def test_stated_gravity_that_few_places_have_is_remarked() -> None:
     assert "4.1 times the standard uncertainty of both" in said
     assert found(normal - 123e-5, 5e-6, confirmed=True) == []
     assert found(normal - 123e-5, 3e-4) == []
-    at_unknown_height = replace(observations.site, height=0.0, gravity=normal - 300e-5, gravity_u=5e-6)
+    at_unknown_height = replace(observations.site, height=None, gravity=normal - 300e-5, gravity_u=5e-6)
     assert verdict(estimate, replace(observations, site=at_unknown_height)).accel.remarks == ()
 
 

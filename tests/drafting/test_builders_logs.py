@@ -393,7 +393,7 @@ def test_integers_that_stand_for_no_reading_are_lost_samples(
     readings = counts(device[0])
     lost = np.arange(100, len(readings), 97)
     for row in range(3):  # several in a row
-        readings[np.ix_(lost + row, columns)] = limit
+        readings[np.ix_(lost + row, np.array(columns))] = limit
     draft, faults = new_session(
         tmp_path / "s", table(tmp_path / "l.csv", f"t,{NAMES}", device[0][:, 0], readings, digits=12)
     )

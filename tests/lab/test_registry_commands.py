@@ -65,6 +65,21 @@ def filled(folder: Path) -> Path:
     return folder
 
 
+def test_nothing_is_said_to_be_added_to_a_registry_with_a_damaged_page(filled: Path) -> None:
+    """A page at a time, those behind the last record as well."""
+    sound, page = (filled / "r.sqlite").read_bytes(), 4096
+    damaged = filled / "damaged.sqlite"
+    statuses = set()
+    for start in range(page, len(sound), page):
+        for part in filled.glob("damaged.sqlite*"):
+            part.unlink()
+        damaged.write_bytes(sound[:start] + bytes(page) + sound[start + page :])
+        result = run("add", "worn.json", "--registry", damaged)
+        statuses.add(result.exit_code)
+        assert result.exit_code != 2 or "added" not in result.stderr
+    assert 2 in statuses
+
+
 @pytest.mark.usefixtures("filled")
 def test_a_calibration_is_judged_when_it_is_added() -> None:
     again = run("add", "new.json")

@@ -21,6 +21,8 @@ def test_the_reference_cases_pass_and_are_recorded_with_machine_versions_and_has
     record = json.loads((tmp_path / "record.json").read_text(encoding="utf-8"))
     assert record["by"] == "A. Metrologist"
     assert record["passed"] is True
+    named = " ".join(case["name"] for case in record["cases"])
+    assert all(what in named for what in ("sequential", "scalar", "scalar-nominal", "ellipsoid", "mean of 3 launches"))
     assert all(case["passed"] and case["low"] <= case["figure"] <= case["high"] for case in record["cases"])
     assert {"numpy", "scipy", "polars"} <= set(record["versions"])
     source, package = Path(module.__file__), Path(tumble.__file__).parent
@@ -45,7 +47,7 @@ def test_a_figure_beyond_its_limit_or_none_at_all_fails(figure: float, passed: b
 
 def test_a_case_that_goes_wrong_fails_the_test_and_the_exit_status(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "normal_gravity", lambda latitude, height: 9.8)  # noqa: ARG005
-    for name in ("_cube", "_noiseless", "_noisy_table", "_exchanged_columns"):
+    for name in ("_cube", "_noiseless", "_noisy_table", "_launches", "_exchanged_columns"):
         monkeypatch.setattr(module, name, _none)
     result = CliRunner().invoke(main, ["selftest"])
     assert result.exit_code == 1

@@ -18,7 +18,7 @@ from tumble.errors import InputError, ProgrammeError
 from tumble.planning.bounds import Bound, expected_bound
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
-from tumble.planning.plan import Plan, largest_errors, plan
+from tumble.planning.plan import Plan, PlannedMethod, largest_errors, least_rest, plan
 from tumble.planning.setup import GROUPS, NAMES, Setup, with_all_groups
 from tumble.programme.positions import from_attitudes, programme
 from tumble.rotation import rotation_vector
@@ -180,6 +180,25 @@ def test_rests_and_positions_that_are_required_give_what_is_wanted(groups: bool)
     (met,) = plan(setup, wanted={"accel.scale": 1.02 * u}).requirements
     assert met.positions == 15
     assert expected_bound(replace(setup, rest=met.rest)).rms("accel.scale") == pytest.approx(1.02 * u, rel=0.01)
+
+
+@pytest.mark.parametrize("rate_deg_s", [10.0, 40.0])
+def test_rests_that_are_required_are_found_by_calibrate(tmp_path: Path, rate_deg_s: float) -> None:
+    """A wanted accuracy that any rest gives requires the least rest, whose u is smaller than wanted, and a session with
+    such rests is accepted. A plan refuses shorter ones."""
+    setup = Setup.of(grade="mems", rate_deg_s=rate_deg_s, sample_rate=50.0)
+    needed, shorter = (replace(setup, rest=least_rest(setup) - less) for less in (0.0, 0.5))
+    expected: tuple[tuple[PlannedMethod, float], ...] = (("joint", 1e-3), ("scalar", 1e-2))
+    for method, wanted in expected:
+        (row,) = plan(setup, method=method, wanted={"accel.scale": wanted}).requirements
+        assert row.rest == needed.rest
+        assert row.reached < 0.8 * wanted
+        assert not plan(needed, method=method).reasons
+        assert "so that `calibrate` finds every one" in plan(shorter, method=method).reasons[0]
+    (row,) = plan(setup, wanted={"accel.scale": 1e-3}).requirements
+    assert row.reached == plan(needed).group("accel.scale").u
+    session = simulate_session(tmp_path / "needed", needed, seed=1)
+    assert calibrate(session, terms="linear").outcome.accepted
 
 
 def test_what_no_set_up_gives_is_named_with_its_source() -> None:

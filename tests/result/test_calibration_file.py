@@ -19,10 +19,13 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
+from tests.support.calibrated import calibration as calibrated
 from tests.support.calibrated import with_fields
 from tumble import __version__
+from tumble.advice import Advised, found_in
 from tumble.cli import main
 from tumble.errors import CalibrationError
+from tumble.inference.estimate import Outcome
 from tumble.planning.setup import Setup
 from tumble.recording.session import AirConditions, AutopilotSensor, Circumstances
 from tumble.recording.session_file import read_session
@@ -291,6 +294,25 @@ def test_the_description_of_the_file_has_the_keys_that_are_written_and_documente
 
 
 # -------------------- read again --------------------
+
+
+def test_what_was_found_and_what_to_do_are_apart_in_the_file(tmp_path: Path) -> None:
+    sentence = Advised("the gyros drift", "let the device warm up")
+    made = with_fields(calibrated(), outcome=Outcome(remarks=(sentence,)), notes=("as it is", sentence))
+    made.write(tmp_path / "c.json")
+    written = contents(tmp_path / "c.json")
+    assert written["outcome"]["remarks"] == ["the gyros drift; let the device warm up"]
+    assert written["remedies"] == {"the gyros drift; let the device warm up": "let the device warm up"}
+    again = read_calibration(tmp_path / "c.json")
+    assert [found_in(each) for each in (*again.outcome.remarks, *again.provenance.notes)] == [
+        "the gyros drift",
+        "as it is",
+        "the gyros drift",
+    ]
+    written["remedies"] = {sentence: "switch it off"}
+    (tmp_path / "c.json").write_text(json.dumps(written), encoding="utf-8")
+    with pytest.raises(CalibrationError, match="remedies: expected the end of"):
+        read_calibration(tmp_path / "c.json")
 
 
 def equal(one: Calibration, other: Calibration) -> bool:

@@ -11,7 +11,7 @@ import pytest
 
 from tests.support.calibrated import HEXAD, calibration, warmed, with_fields
 from tumble.result.calibration import read_calibration
-from tumble.result.parts import Launch, coverage_factor
+from tumble.result.parts import Launch, Parameter, coverage_factor
 from tumble.result.temperature_curves import (
     measured_range,
     rests_with_temperature,
@@ -105,10 +105,7 @@ def test_the_range_is_that_of_the_rests_of_all_launches() -> None:
     made = warmed(calibration())
     empty = Launch(session="a", parameters=(), covariance=None, log_sha256="", rests=made.evidence.rests[:2])
     launches = with_fields(made, rests=(), launches=(empty, replace(empty, rests=made.evidence.rests[3:])))
-    found = measured_range(launches)
-    assert found is not None
-    assert (found.low, found.high) == (-18.5, 57.25)
-    assert str(found) == "-18.5 to 57.2 °C"
+    assert measured_range(launches) == (-18.5, 57.25)
     assert len(rests_with_temperature(launches)) == 3
     assert measured_range(calibration()) is None
     assert thermal_parameters(calibration()) == ()
@@ -149,6 +146,26 @@ def test_the_report_has_every_parameter_at_both_ends_and_at_the_reference() -> N
     assert row[-1] == "mg"
     for cell, value in ((row[1], own.value[0]), (row[2], own.expanded[0]), (row[5], own.value[1])):
         assert float(cell.replace("−", "-")) == pytest.approx(value / (1e-3 * G_STANDARD), abs=0.051)
+
+
+def test_each_coefficient_is_in_one_table_with_its_u_and_its_number_in_si() -> None:
+    """Coefficients of temperature in the result, other further parameters in their section."""
+    more = Parameter(name="accel.cubic.x", value=2e-7, u=1e-7, unit="s^4/m^2")
+    made = warmed(calibration())
+    made = replace(made, parameters=(*made.parameters, more), covariance=None)
+    sections = report_of([ReportedFile(file="c.json", sha256="0", calibration=made)]).parts[0].sections
+    tables = {
+        each.title: [block for block in each.blocks if isinstance(block, Table) and "value, SI" in block.columns]
+        for each in sections
+    }
+    shown = {title: [row[0] for table in found for row in table.rows] for title, found in tables.items() if found}
+    slopes = [p.name for p in made.parameters if p.name.endswith((".t1", ".t2"))]
+    assert shown == {"Result": slopes, "Beyond bias, scale factors and axes": ["accel.cubic.x"]}
+    (table,) = tables["Result"]
+    row = dict(zip(table.columns, table.rows[0], strict=True))
+    assert float(row["value, SI"].replace("−", "-")) == pytest.approx(made[slopes[0]].value, rel=1e-7)
+    assert (row["unit"], row["SI unit"]) == ("µg/°C", "m/s²/K")
+    assert float(row["U (95 %)"]) == pytest.approx(2.0 * (made[slopes[0]].u or 0.0) / G_STANDARD * 1e6, rel=0.05)
 
 
 def test_the_picture_has_a_panel_for_each_group_and_marks_what_was_not_measured() -> None:

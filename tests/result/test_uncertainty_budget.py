@@ -27,7 +27,7 @@ from tumble.sensors.frames import Frame
 from tumble.sensors.parameters import Terms, beyond_linear
 from tumble.views.calibration import calibration_blocks
 from tumble.views.render.terminal import text_of
-from tumble.views.uncertainty_budget import budget_section
+from tumble.views.uncertainty_budget import budget_blocks
 
 
 @pytest.fixture(scope="module")
@@ -195,7 +195,7 @@ def test_without_one_it_says_so(whole: Calibration) -> None:
         turned.uncertainty_budget(next(iter(turned)))
     with pytest.raises(KeyError, match=r"no parameter 'accel\.scale\.q'"):
         whole.uncertainty_budget("accel.scale.q")
-    assert budget_section(turned) is None
+    assert budget_blocks(turned) == []
 
 
 def test_shares_by_group_are_whole(whole: Calibration) -> None:

@@ -356,7 +356,7 @@ def test_gyros_in_counts_of_an_unknown_scale_do_not_throw_out_rests() -> None:
     assert len(made.evidence.rests) == 6
     assert [(p.name, p.value, p.u) for p in made.parameters] == [(p.name, p.value, p.u) for p in alone.parameters]
     assert [p.name for p in made.parameters] == list(true)
-    assert "states no scale for its counts" in made.provenance.notes[-1]
+    assert "the scale of the counts of the gyros is not stated" in made.provenance.notes[-1]
 
 
 @pytest.mark.parametrize("part", [0.0, 0.1])

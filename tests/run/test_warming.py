@@ -19,6 +19,7 @@ from tumble.result.parts import CalibratedTemperature
 from tumble.result.temperature_curves import temperature_curve
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
+from tumble.views.report.over_temperature import rest_in_parts
 
 POWERS = (1, 2, 3)
 KINDS = ("accel", "gyro")
@@ -56,6 +57,16 @@ def recorded() -> Warming:
 def alone(recorded: Warming) -> Calibration:
     """What it says by itself."""
     return calibrate(**recorded.arrays)
+
+
+def test_the_parts_of_a_rest_lie_on_the_curve_of_the_sensors_that_lag(alone: Calibration) -> None:
+    """In the picture of a report: at the temperature of the thermometer they are off by a tenth of the change."""
+    reference = alone.reference_temperature or 0.0
+    for name in ("accel.bias.y", "gyro.bias.z"):
+        ((celsius, read),) = rest_in_parts(alone, name, reference)
+        curve = temperature_curve(alone, name, np.append(celsius, reference)).value
+        off = read - (curve[:-1] - curve[-1])
+        assert np.sqrt(np.mean(off**2)) < 0.03 * np.ptp(curve)
 
 
 def test_coefficients_and_lags_are_right_and_better_than_a_plain_fit(recorded: Warming, alone: Calibration) -> None:

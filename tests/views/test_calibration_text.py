@@ -17,9 +17,10 @@ from tumble.cli import main
 from tumble.inference.estimate import GroupFinding, HyperparameterEstimate, Integral, Outcome, ProcessBias
 from tumble.inference.prediction import Prediction
 from tumble.planning.setup import Setup
+from tumble.recording.session import AutopilotSensor
 from tumble.recording.session_file import read_session
 from tumble.result.calibration import Calibration, read_calibration
-from tumble.result.further import decided_by_priors, group_lines, verdicts
+from tumble.result.further import decided_by_priors, verdicts
 from tumble.result.parts import Parameter, SourceContributions
 from tumble.run.calibrate import calibrate
 from tumble.run.launches import LaunchRun, mean_of_launches
@@ -30,6 +31,7 @@ from tumble.views.calibration import (
     MEANING_OF_INCREMENTS,
     calibration_blocks,
     difference_percent,
+    group_table,
     iteration_table,
     launch_table,
     method_table,
@@ -239,7 +241,7 @@ def test_a_line_for_each_further_group(full: Calibration) -> None:
     factor, expanded = map(float, of_parameters["accel.delay"][2:4])
     assert factor == pytest.approx(full["accel.delay"].k, abs=0.006)
     assert expanded == pytest.approx(factor * 0.05, abs=0.006)
-    assert [line.name for line in group_lines(full)] == [group.name for group in full.groups]
+    assert [row[0] for row in group_table(full).rows] == [group.name for group in full.groups]
 
 
 def test_the_tables_fit_a_terminal_of_100_columns(full: Calibration) -> None:
@@ -349,6 +351,31 @@ def test_what_is_printed_is_at_most_25_lines_of_100_characters(full: Calibration
     assert lines[-1].startswith("next: tumble export 'a folder/calibration.json' --to ")
 
 
+@pytest.mark.parametrize(
+    ("log", "column", "imu", "to"),
+    [
+        ("flight.bin", "accel_x", True, "ardupilot -o imu.parm (others"),
+        ("flight.ulg", "accel_x", True, "px4 -o imu.params (others"),
+        ("ride.mcap", "accel_x", False, "kalibr -o imu.yaml (others"),
+        ("LOG00001.01.csv", "accSmooth[0]", False, "betaflight -o imu.txt (others"),
+        ("sensor_combined.csv", "accelerometer_m_s2[0]", False, "px4 -o imu.params (others"),
+        ("session", "accel_x", True, "px4 -o imu.params (ardupilot, others"),
+        ("log.csv", "ax", False, "json -o imu.json (others"),
+    ],
+)
+def test_the_next_command_exports_to_the_program_that_recorded_the_log(
+    full: Calibration, log: str, column: str, imu: bool, to: str
+) -> None:
+    readings = replace(full.provenance.readings["accel"], columns=(column, "b", "c"))
+    made = with_fields(full, readings={"accel": readings})
+    sensors = {"accel": AutopilotSensor(number=1, id=None)} if imu else {}
+    made = replace(made, device=replace(made.device, imu=sensors))
+    assert f" --to {to}: --help)" in lines_of(calibration_blocks(made, log=log))[-1]
+    if to.startswith("kalibr"):  # which needs gyros too
+        alone = replace(made, gyro=None, outcome=Outcome(reasons=("gyro",), concerns={"gyro": ("gyro",)}))
+        assert " --to ros-imu-calib -o imu.yaml " in lines_of(calibration_blocks(alone, log=log))[-1]
+
+
 def test_every_parameter_is_printed_with_its_u(full: Calibration) -> None:
     """To the digits of the table that has a row for each."""
     linear, units = full.parameters[:21], shown_units(full.parameters)
@@ -399,7 +426,7 @@ def test_what_is_not_stated_is_a_remark_only_where_it_is_most_of_u() -> None:
         gravity = SourceContributions(name="gravity", words="gravity", type="B", contributions=parts)
         made = with_fields(made, assumptions=(height, clock), budget=(gravity,))
         text = "\n".join(line for line in text_of(calibration_blocks(made), 400).splitlines() if "stated" in line)
-        minor = "in u, of which it is the smaller part: "
+        minor = "smaller parts of u: "
         time_base = "the uncertainty of the time base is not stated"
         if share > 0.5:
             assert text == f"{minor}{time_base}\nremark: {height}"

@@ -19,6 +19,7 @@ from click.testing import CliRunner
 
 from tests.support.calibrated import calibration, of_device, warmed, with_fields
 from tests.support.pages import Page, opened, pdf_text
+from tumble.advice import Advised
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.export import export_calibration
@@ -342,7 +343,10 @@ def test_every_recording_is_dated_on_the_first_page(tmp_path: Path) -> None:
 
 
 REMARKS = (
-    "residuals larger than the noise; probable cause: the switch on was earlier; state gyro_cubic in [device.prior]",
+    Advised(
+        "residuals larger than the noise; probable cause: the switch on was earlier",
+        "state gyro_cubic in [device.prior]",
+    ),
 )
 
 
@@ -353,9 +357,9 @@ def test_a_customer_reads_no_opinions_and_no_advice_and_signs_beside_the_result(
     made = read_calibration(path)
     outcome = Outcome(remarks=REMARKS, concerns=dict.fromkeys(REMARKS, ("gyro",)))
     notes = (
-        "all turns have about 50 °/s: scale factors hold at this rate; state gyro_cubic in [device.prior]",
-        "the field is not the same in all of them; record away from steel, with motors off",
-        "curvatures have their usual sizes; warm or cool the device through those of its use; u includes this",
+        Advised("all turns have about 50 °/s: scale factors hold at this rate", "state gyro_cubic in [device.prior]"),
+        Advised("the field is not the same in all of them; look at it", "record away from steel, with motors off"),
+        Advised("curvatures have their usual sizes; u includes this", "warm or cool the device as it is used"),
     )
     with_fields(made, outcome=outcome, notes=notes).write(path, force=True)
     for ending in ("html", "pdf"):
@@ -367,6 +371,7 @@ def test_a_customer_reads_no_opinions_and_no_advice_and_signs_beside_the_result(
     assert "Accepted with scatter" in page
     assert "scale factors hold at this rate" in page
     assert "curvatures have their usual sizes; u includes this" in page.replace("Curvatures", "curvatures")
+    assert "look at it" in page  # no list of verbs tells what is advice
     assert "steel" not in page
     with opened(tmp_path / "r.pdf") as document:
         pages = [" ".join(each.get_text().split()) for each in document]
@@ -376,10 +381,10 @@ def test_a_customer_reads_no_opinions_and_no_advice_and_signs_beside_the_result(
     assert "probable cause" in Page.of(tmp_path / "laboratory.html").whole
 
 
-JUMP = (
+JUMP = Advised(
     "probable cause: biases of the gyros jump by 30°/h after rest 8 (291.2–309.2 s), as of a driver that measures them "
-    "anew or of another device: calibrate what is before and what is after as launches, each with the times of the "
-    "other in [[exclude]]"
+    "anew or of another device",
+    "calibrate what is before and what is after as launches, each with the times of the other in [[exclude]]",
 )
 
 
@@ -451,7 +456,7 @@ def test_a_certificate_of_all_groups_has_eight_pages_at_most_and_no_large_file(r
 def test_the_whole_correction_is_printed_and_its_test_vector_follows_from_what_is_printed(real: Path) -> None:
     """The reading by the printed formula at the printed true values, written out here, is the printed reading."""
     page = Page.of(real / "c.html")
-    table = page.table("parameter", "value, SI", "unit")
+    table = page.table("parameter", "value, SI", "SI unit")
     value = {row["parameter"]: printed(row["value, SI"]) for row in table}
     matrices = [np.array(matrix) for matrix in page.matrices()]
     (A, a0), (G, g0) = matrices[:2], matrices[5:7]
@@ -484,7 +489,7 @@ def test_the_correction_over_temperature_follows_from_what_is_printed(tmp_path: 
     page = Page.of(tmp_path / "c.html")
     assert "with matrix and bias alone: exact at the reference temperature" in page.whole
     assert "of its sensor: ." not in page.whole
-    value = {row["parameter"]: printed(row["value, SI"]) for row in page.table("parameter", "value, SI", "unit")}
+    value = {row["parameter"]: printed(row["value, SI"]) for row in page.table("parameter", "value, SI", "SI unit")}
     matrices = [np.array(matrix) for matrix in page.matrices()]
     for kind, (M, b), (reading, true) in (
         ("accel", matrices[:2], matrices[10:12]),

@@ -14,6 +14,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +51,7 @@ from tumble.views.render.pages import page as to_page
 from tumble.views.render.pages import pdf as to_pdf
 from tumble.views.render.pictures import svg_of
 from tumble.views.report.document import ReportedFile, report_of, sources_of, write_report
+from tumble.views.report.result import before_and_after
 
 SHORT = Setup.of(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)
 SIZES = {
@@ -522,6 +524,32 @@ def test_a_table_of_readings_has_its_scatter_and_whether_anything_checks_it(
     assert ("Nothing checks the accelerometers" in page.whole) != checked
     assert "k belongs to the diagonal of the matrix" in page.whole  # the frame of the paper has its own parameters
     assert not any(heading.startswith("height") for heading in page.text)
+
+
+def test_a_height_that_was_not_stated_is_not_zero(content: Any, tmp_path: Path) -> None:
+    for height, shown in ((None, "heightnot stated"), (0.0, "height0.0 m")):
+        site = content["site"] | {"height": height}
+        file = changed(content, tmp_path, partial(dict.update, site=site))
+        write_report(file, tmp_path / "c.html")
+        assert shown in Page.of(tmp_path / "c.html").whole
+
+
+@pytest.mark.parametrize("biases_alone", [True, False])
+def test_no_dot_of_the_picture_before_and_after_is_cut(biases_alone: bool) -> None:
+    """Also not where there are three rows, as of a device that lay still."""
+    made = exact()
+    if biases_alone:
+        parameters = tuple(p for p in made.parameters if p.name.startswith("gyro.bias"))
+        made = replace(made, parameters=parameters, covariance=None)
+    svg = before_and_after("p", made)
+    frames = re.findall(r'<clipPath id="([^"]*)">\s*<rect x="[^"]*" y="([^"]*)" width="[^"]*" height="([^"]*)"', svg)
+    count = 0
+    for name, top, height in frames:
+        for group in re.findall(rf'<g clip-path="url\(#{name}\)">(.*?)</g>', svg, re.DOTALL):
+            dots = [float(y) for y in re.findall(r'<use [^>]*y="([0-9.]*)"', group)]
+            count += len(dots)
+            assert all(float(top) + 2.0 <= y <= float(top) + float(height) - 2.0 for y in dots)
+    assert count == 2 * len(made.parameters)
 
 
 def result_alone(content: Any) -> None:

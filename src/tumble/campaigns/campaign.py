@@ -254,7 +254,13 @@ def campaign(
     with executor_for(**place) as executor:
         rows = run(definition.job(), folder, executor=executor, progress=progress)
     lines = summary(rows)
-    write_summary(lines, folder / SUMMARY_FILE)
+    figures = ("trials", "accepted", "failed", "unit", "bias", "scatter", "rms", "to_bound", "coverage")
+    table = [
+        {**line.point, "method": line.method, "group": line.group} | {name: getattr(line, name) for name in figures}
+        for line in lines
+    ]
+    with whole_file(folder / SUMMARY_FILE) as temporary:
+        pl.DataFrame(table, infer_schema_length=None).write_csv(temporary)
     return CampaignResult(rows=rows, lines=lines, summary=folder / SUMMARY_FILE)
 
 
@@ -310,14 +316,3 @@ def _figures(accepted: pl.DataFrame, names: Sequence[str]) -> dict[str, float | 
 def varying(lines: Sequence[SummaryLine]) -> tuple[str, ...]:
     """Return the axes of the grid that have more than one value."""
     return tuple(axis for axis in AXES if len({line.point[axis] for line in lines}) > 1)
-
-
-def write_summary(lines: Sequence[SummaryLine], path: Path) -> None:
-    """Write the lines of a summary as CSV, SI."""
-    figures = ("trials", "accepted", "failed", "unit", "bias", "scatter", "rms", "to_bound", "coverage")
-    rows = [
-        {**line.point, "method": line.method, "group": line.group} | {name: getattr(line, name) for name in figures}
-        for line in lines
-    ]
-    with whole_file(path) as temporary:
-        pl.DataFrame(rows, infer_schema_length=None).write_csv(temporary)

@@ -80,12 +80,15 @@ def run(
     Tasks are computed in this process by default, else by an `executor` (see `tumble.campaigns.cluster`). Raises
     InputError if the folder has other content or belongs to another job, TumbleError if a cluster is lost; finished
     chunks are kept."""
+    import polars as pl
+
     table = folder / TABLE
     if _open_folder(job, folder) and table.exists():
         return table
     try:
         (folder / "parts").mkdir(exist_ok=True)
-        done = _finished_tasks(folder)
+        parts = _parts(folder)
+        done = set(pl.scan_parquet(parts).select("task").collect()["task"]) if parts else set[int]()
         pending = [number for number in range(len(job.items)) if number not in done]
         count = len(job.items) - len(pending)
         progress(count, len(job.items))
@@ -173,13 +176,6 @@ def _open_folder(job: Job, folder: Path) -> bool:
 
 def _parts(folder: Path) -> list[Path]:
     return sorted(path for path in (folder / "parts").iterdir() if path.match("[0-9]*.parquet"))
-
-
-def _finished_tasks(folder: Path) -> set[int]:
-    import polars as pl
-
-    parts = _parts(folder)
-    return set(pl.scan_parquet(parts).select("task").collect().to_series().to_list()) if parts else set()
 
 
 def _join_parts(job: Job, folder: Path) -> None:

@@ -136,7 +136,9 @@ def calibrate(
         true_values = truth_at(truth_by_name, result.reference_temperature, partial(reference_of_parameter, result))
     console.show(
         lambda: result.content() | ({"others": [other.content() for other in others]} if others else {}),
-        lambda: calibration_blocks(result, true_values, others, file=target, session=described[0].name, **shown),
+        lambda: calibration_blocks(
+            result, true_values, others, file=target, session=described[0].name, log=sessions[0], **shown
+        ),
         width=None if shown["every"] else WIDTH,
     )
     console.say(f"written to {target}")

@@ -66,7 +66,7 @@ def warn(line: str) -> None:
     click.echo(plain(line), err=True)
 
 
-LONGEST_REASON = 300  # characters of a shortened reason, three lines of a terminal
+LONGEST_REASON = 300  # characters of a shortened reason, three lines of a terminal, unless two clauses are longer
 
 
 def end(reasons: Iterable[str], kind: str = "", most: int | None = None) -> NoReturn:
@@ -75,20 +75,23 @@ def end(reasons: Iterable[str], kind: str = "", most: int | None = None) -> NoRe
     With `most`, at most that many are printed, each shortened to LONGEST_REASON characters."""
     reasons = list(reasons)
     for reason in reasons[:most]:
-        warn(f"{kind}{reason if most is None else _first_clauses(reason)}")
+        warn(f"{kind}{reason if most is None else _shortened(reason)}")
     if most is not None and len(reasons) > most:
         warn(f"{kind}{len(reasons) - most} more reasons: --all")
     sys.exit(1 if reasons else 0)
 
 
-def _first_clauses(reason: str) -> str:
-    """Return the clauses of a sentence, split at semicolons, that fit into LONGEST_REASON characters."""
-    kept, *others = reason.split("; ")
-    for clause in others:
-        if len(kept) + len(clause) > LONGEST_REASON:
-            return f"{kept} (more: --all)"
-        kept += f"; {clause}"
-    return kept
+def _shortened(reason: str) -> str:
+    """Return the first clause of a sentence, as many others as fit into LONGEST_REASON characters, and the last.
+
+    The clauses are those between semicolons. The first is what was found, the last its cause or what to do."""
+    *first, last = reason.split("; ")
+    kept = ""
+    for clause in first:
+        if kept and len(kept) + len(clause) + len(last) > LONGEST_REASON:
+            return f"{kept}…; {last} (more: --all)"
+        kept += f"{clause}; "
+    return kept + last
 
 
 def _quiet() -> bool:

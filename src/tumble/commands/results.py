@@ -88,14 +88,13 @@ def _serial_and_place(calibration: Path) -> dict[str, Any]:
     options = {"serial": made.serial, "latitude": None, "height": None, "accel": None, "gyro": None}
     if site is None or site.latitude is None:
         return options
-    height = None if site.assumed == "height" else site.height
-    return options | {"latitude": site.latitude / DEGREE, "height": height}
+    return options | {"latitude": site.latitude / DEGREE, "height": site.height}
 
 
 def _show(event: Event) -> None:
     from tumble.documents import as_json
-    from tumble.use.check import CheckedRest
-    from tumble.views.checks import event_line, moved_line
+    from tumble.use.check import CheckedRest, change_text
+    from tumble.views.checks import event_line
 
     rest = event if isinstance(event, CheckedRest) else None
     if console.as_json():
@@ -103,7 +102,7 @@ def _show(event: Event) -> None:
     else:
         click.echo(event_line(event))
     for moved in () if rest is None or rest.judged is None else rest.judged.moved:
-        console.warn(f"moved: {moved_line(moved)}")
+        console.warn(f"moved: {change_text(moved)}; since about {moved.since:.1f} s, rest {moved.rest + 1}")
 
 
 @click.command(epilog=params.examples("tumble compare last-year.json imu-7/calibration.json"))

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from tumble.advice import Advised
 from tumble.diagnosis.channels import scale_error
 from tumble.diagnosis.observability import rough_directions
 from tumble.diagnosis.turn_likelihood import (
@@ -80,8 +81,11 @@ def vertical_faults(observations: Observations, session: Session, rate: float, g
         return [f"{missed}{others[0][1]}"]
     if channels.raw and np.all(channels.scale == 1.0):
         return [
-            f"{missed}: log.gyro.scale is 1, as if the numbers were no raw ones; write the counts per deg/s of "
-            "the data sheet (16.4, 32.8, 65.5, 131 …), or let `tumble new` find them from the turns"
+            Advised(
+                f"{missed}: log.gyro.scale is 1, as if the numbers were no raw ones",
+                "write the counts per deg/s of the data sheet (16.4, 32.8, 65.5, 131 …), or let `tumble new` find "
+                "them from the turns",
+            )
         ]
     miss = _missed_angles(observations, SensorModel(matrix=scale * stated.matrix, bias=stated.bias), vertical)
     with np.errstate(invalid="ignore", over="ignore"):  # of implausible rates
@@ -91,14 +95,19 @@ def vertical_faults(observations: Observations, session: Session, rate: float, g
     per_half_turn = miss / np.maximum(1.0, turned / np.pi)
     if np.median(per_half_turn) < MEDIAN_MISS:
         return [
-            f"the gyros lose the vertical in {observations.turn_named(int(k))}: they miss it by "
-            f"{miss[k] / DEGREE:.0f}°; look there for damaged or lost samples, or leave it out: [[exclude]] turn = "
-            f"{int(turns.first[k]) + 1}"
+            Advised(
+                f"the gyros lose the vertical in {observations.turn_named(int(k))}: they miss it by "
+                f"{miss[k] / DEGREE:.0f}°",
+                "look there for damaged or lost samples, or leave it out: [[exclude]] turn = "
+                f"{int(turns.first[k]) + 1}",
+            )
             for k in np.flatnonzero(per_half_turn >= LARGEST_MISS)
         ] or upside_down(observations, session, g_sensitivity)
     return [
-        f"{missed}, and no other unit, scale, sign or order of columns explains it: check the columns, the unit "
-        "and [log.gyro] axes"
+        Advised(
+            f"{missed}, and no other unit, scale, sign or order of columns explains it",
+            "check the columns, the unit and [log.gyro] axes",
+        )
     ]
 
 

@@ -20,6 +20,7 @@ from functools import cached_property
 import numpy as np
 import scipy
 
+from tumble.advice import Advised, advised, found_in, remedy_of
 from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, Finding, with_unit
 from tumble.diagnosis.projection import FALSE_ALARMS, Projection, diagnostic_solution, projections
 from tumble.earth import EARTH_RATE, earth_rate
@@ -115,12 +116,13 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
                 variance[groups[group]] += u**2
             damage = np.abs(shift) / np.sqrt(variance)
             size = with_unit(float(np.abs(steady.values[: c.sized]).max()), c.unit)
+            sentence = c.sentences[min(s, len(c.sentences) - 1)]
             cause = Finding(
                 causes=(c.name,),
                 concerns=c.concerns,
                 p_value=p_value,
                 by_group={group: float(damage[members].max()) for group, members in groups.items()},
-                sentence=c.sentences[min(s, len(c.sentences) - 1)].format(size=size),
+                sentence=advised(found_in(sentence).format(size=size), remedy_of(sentence)),
             )
             best[name] = cause, own_columns, projection
         causes_by_session.append(_beside_the_likeliest(list(best.values())))
@@ -144,7 +146,8 @@ def _beside_the_likeliest(found: list[tuple[Finding, IntArray, Projection]]) -> 
         beside, reversed_ = (projection.p_value_beside(both, before) for before in (best_fit, own_fit))
         if min(beside, reversed_) > FALSE_ALARMS >= cause.p_value:
             by_group = {name: max(size, cause.by_group[name]) for name, size in best.by_group.items()}
-            sentence = f"{best.sentence}; or, indistinguishable in this session: {cause.sentence}"
+            found_both = f"{found_in(best.sentence)}; or, indistinguishable in this session: {found_in(cause.sentence)}"
+            sentence = advised(found_both, " or ".join(filter(None, map(remedy_of, (best.sentence, cause.sentence)))))
             best = replace(best, sentence=sentence, by_group=by_group, causes=(*best.causes, cause.cause))
         others.append(replace(cause, p_value=max(cause.p_value, beside)))
     return [best, *others]
@@ -244,8 +247,10 @@ def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
         columns=hysteresis,
         unit=BIAS_UNITS["accel"],
         sentences=[
-            "hysteresis of the accelerometers of {size}, by the sign of the last change of the own force: come to each "
-            "position from both sides"
+            Advised(
+                "hysteresis of the accelerometers of {size}, by the sign of the last change of the own force",
+                "come to each position from both sides",
+            )
         ],
     )
     for kind, block in session.kinds:
@@ -257,8 +262,10 @@ def candidates_of(session: LinearisedSession) -> Iterator[Candidate]:
                 columns=session.bias_columns(kind, *lag),
                 unit=_per_g(kind, 1),
                 sentences=[
-                    f"{SENSORS[kind]} that remember the previous attitude by {{size}} for about {time:.0f} s: longer "
-                    "rests, of which the beginning is left out"
+                    Advised(
+                        f"{SENSORS[kind]} that remember the previous attitude by {{size}} for about {time:.0f} s",
+                        "take longer rests, of which the beginning is left out",
+                    )
                 ],
             )
     yield from products(session)
@@ -307,9 +314,12 @@ def jumps(session: LinearisedSession) -> Iterator[Candidate]:
                 unit=BIAS_UNITS[kind],
                 sized=block.size,
                 sentences=[
-                    f"biases of the {SENSORS[kind]} jump by {{size}} after {rest}, as of a driver that measures them "
-                    "anew or of another device, and the values given are means over the rests: calibrate what is "
-                    "before and what is after as launches, each with the times of the other in [[exclude]]"
+                    Advised(
+                        f"biases of the {SENSORS[kind]} jump by {{size}} after {rest}, as of a driver that measures "
+                        "them anew or of another device, and the values given are means over the rests",
+                        "calibrate what is before and what is after as launches, each with the times of the other in "
+                        "[[exclude]]",
+                    )
                     for rest in where
                 ],
                 abrupt=True,
@@ -334,8 +344,11 @@ def shifts(session: LinearisedSession, about: IntegratedTurns, gyro: Block) -> I
             last = part.rests.start + (part.rests.stop - part.rests.start) * place // (SHIFT_PLACES + 1)
             at_rest[part.rests], in_turn[part.turns] = session.after_rest(last, part)
             sentences.append(
-                f"the gyros turn against the accelerometers by {{size}} about {rests.stop[last]:z.0f} s, as on a board "
-                "that is loose: fasten it, and calibrate what is before and what is after as launches"
+                Advised(
+                    f"the gyros turn against the accelerometers by {{size}} about {rests.stop[last]:z.0f} s, as on a "
+                    "board that is loose",
+                    "fasten it, and calibrate what is before and what is after as launches",
+                )
             )
         columns = rest * at_rest[:, None, None], turn * in_turn[:, None, None]
         yield Candidate(name="shift", concerns=("gyro",), columns=columns, unit=(DEGREE, "°"), sentences=sentences)
@@ -408,8 +421,10 @@ def products(session: LinearisedSession) -> Iterator[Candidate]:
             columns=(rest, turn),
             unit=_per_g(kind, 2),
             sentences=[
-                f"{SENSORS[kind]} that read products of forces, by {{size}}: more oblique rests, or use it near the "
-                "attitudes of the session"
+                Advised(
+                    f"{SENSORS[kind]} that read products of forces, by {{size}}",
+                    "take more oblique rests, or use it near the attitudes of the session",
+                )
             ],
         )
 
@@ -429,8 +444,10 @@ def gyro_nonlinearity(session: LinearisedSession, about: IntegratedTurns, gyro: 
         columns=(rest, turn),
         unit=(1e-6 / (10.0 * DEGREE) ** 2, "ppm at 10 °/s"),
         sentences=[
-            "scale factors of the gyros that depend on the rate, by {size}: turn at the rates of use, at one rate, or "
-            "make them parameters by gyro_cubic in [device.prior]"
+            Advised(
+                "scale factors of the gyros that depend on the rate, by {size}",
+                "turn at the rates of use, at one rate, or make them parameters by gyro_cubic in [device.prior]",
+            )
         ],
     )
 
@@ -469,8 +486,10 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Candidate]:
         columns=(rest[..., None], turn[..., None]),
         unit=(DEGREE, "°"),
         sentences=[
-            "a latitude that the gyros contradict by {size}: look at latitude_deg in [site], and its sign; about "
-            f"{latitudes[best] / DEGREE:z.0f}° would fit"
+            Advised(
+                "a latitude that the gyros contradict by {size}",
+                f"look at latitude_deg in [site], and its sign; about {latitudes[best] / DEGREE:z.0f}° would fit",
+            )
         ],
         largest_u=EARTH_RATE_U,
     )
@@ -482,8 +501,10 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Candidate]:
         columns=(north_up[0] @ stated[:2, None], north_up[1] @ stated[:2, None]),
         unit=(1e-2, "%"),
         sentences=[
-            "a clock of the log that the Earth's rate contradicts by {size}: look at rate_hz, or the time column and "
-            "its unit, in [log]"
+            Advised(
+                "a clock of the log that the Earth's rate contradicts by {size}",
+                "look at rate_hz, or the time column and its unit, in [log]",
+            )
         ],
         largest_u=EARTH_RATE_U,
         direct={group: (size / u, size) for group, size in by_clock.items()},
@@ -510,7 +531,10 @@ def quantisation(session: LinearisedSession, s: int) -> Iterator[Finding]:
             yield Finding(
                 causes=("quantisation",),
                 concerns=(kind,),
-                sentence=f"steps of the {SENSORS[kind]} of {two_digits(step / scale)} {unit}, which the noise, "
-                f"{two_digits(rounding.noise[worst] / step)} of a step, does not cover: the mean of a rest errs by up "
-                f"to {two_digits(error / scale)} {unit}; log with more digits, or use a smaller range",
+                sentence=Advised(
+                    f"steps of the {SENSORS[kind]} of {two_digits(step / scale)} {unit}, too coarse for the noise of a "
+                    f"reading, {two_digits(rounding.noise[worst] / scale)} {unit}, to average their rounding out: the "
+                    f"mean of a rest errs by up to {two_digits(error / scale)} {unit}",
+                    "log with more digits, or use a smaller range",
+                ),
             )

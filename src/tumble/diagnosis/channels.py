@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from tumble.advice import Advised
 from tumble.recording.session import Channels, LogSpec, Session
 from tumble.reduction.blocks.reducer import ChannelState, Reduction
 from tumble.reduction.rests.segmentation import Stretch
@@ -68,9 +69,12 @@ def normalised(reduction: Reduction, rests: Sequence[Stretch], to_body: Array) -
     if spread >= min(RADIAL_NOISE * noise, limit):
         return []
     return [
-        f"the magnitude of the accelerometers is {magnitude:.6g} m/s^2 at rest and on the way, constant to "
-        f"{spread:.1g} m/s^2, where their noise across it is {noise:.1g} m/s^2: a driver has normalised them, and "
-        "their biases and scale factors are lost; record the raw specific force"
+        Advised(
+            f"the magnitude of the accelerometers is {magnitude:.6g} m/s^2 at rest and on the way, constant to "
+            f"{spread:.1g} m/s^2, where their noise across it is {noise:.1g} m/s^2: a driver has normalised them, and "
+            "their biases and scale factors are lost",
+            "record the raw specific force",
+        )
     ]
 
 
@@ -95,7 +99,7 @@ def dead_zones(reduction: Reduction, rests: Sequence[Stretch], channels: Channel
     def most_equal(values: Array) -> int:
         return int(np.unique(values, return_counts=True)[1].max())
 
-    faults = []
+    faults = list[str]()
     for i, (column, state) in enumerate(zip(channels.columns, reduction.gyro_channels, strict=True)):
         sizes, step = np.abs(at_rest[:, i]), state.step if np.isfinite(state.step) else 0.0
         zeros, others = int((sizes == 0.0).sum()), sizes[sizes > 0.0]
@@ -110,9 +114,12 @@ def dead_zones(reduction: Reduction, rests: Sequence[Stretch], channels: Channel
             busiest = most_equal(np.floor(PULSE_PLACES * others / typical) if pulses else others)
         if typical >= FINE_STEPS * step and zeros > FEWEST_ZEROS + ZEROS_RATIO * busiest:
             faults.append(
-                f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.3g} % of the samples at rest, and "
-                f"never less than {least / DEGREE:.2g} °/s otherwise: a dead zone of the driver, in which biases and "
-                "slow rates are lost; switch it off"
+                Advised(
+                    f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.3g} % of the samples at rest, "
+                    f"and never less than {least / DEGREE:.2g} °/s otherwise: a dead zone of the driver, in which "
+                    "biases and slow rates are lost",
+                    "switch it off",
+                )
             )
     return faults
 
@@ -153,8 +160,10 @@ def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> list[str]:
     else:
         return []
     return [
-        f"{evidence}: a high-pass filter on the chip or in the driver, with which slow rates and biases are lost; "
-        "switch it off"
+        Advised(
+            f"{evidence}: a high-pass filter on the chip or in the driver, with which slow rates and biases are lost",
+            "switch it off",
+        )
     ]
 
 
@@ -196,16 +205,16 @@ def _faults_of_kind(
     for i, (column, state) in enumerate(zip(channels.columns, states, strict=True)):
         extreme = max(state.minimum, state.maximum, key=abs)
         if abs(extreme) > LARGEST_READING:
-            sentence = (
-                f"column {column!r} is damaged: it reads {logged(extreme, i)}, which no sensor does; remove such rows "
-                "or write nan in them"
+            sentence: str = Advised(
+                f"column {column!r} is damaged: it reads {logged(extreme, i)}, which no sensor does",
+                "remove such rows or write nan in them",
             )
             yield ChannelFault(sensor=i, sentence=sentence)
         elif state.minimum == state.maximum:
             dead = f"column {column!r} is dead: all {state.samples} samples are {logged(state.minimum, i)}"
             yield ChannelFault(sensor=i, sentence=dead)
         elif clipped := _clipped(state, means[:, i], channels.range):
-            sentence = f"column {column!r} is clipped: {clipped}, up to {state.extreme_stop:.2f} s; {advice}"
+            sentence = Advised(f"column {column!r} is clipped: {clipped}, up to {state.extreme_stop:.2f} s", advice)
             yield ChannelFault(sensor=i, sentence=sentence, clipped=True)
         elif state.run >= rate and _is_fault(state, state.run, state.run):
             stuck = f"{state.run} samples in a row are {logged(state.run_value, i)}, up to {state.run_stop:.2f} s"
@@ -260,8 +269,11 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
             in_a_unit = in_a_unit and gyros_like_gravity and not like_gravity(force)
         if (is_near_one(gyro_magnitude / g) and gyros_like_gravity) or in_a_unit:
             return [
-                f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and the "
-                f"gyro columns have the magnitude of gravity; exchange [log.accel] columns and [log.gyro] columns"
+                Advised(
+                    f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and "
+                    "the gyro columns have the magnitude of gravity",
+                    "exchange [log.accel] columns and [log.gyro] columns",
+                )
             ]
     read = f"the accelerometers read {magnitude:.4g} m/s^2 at the median, expected {g:.4g} m/s^2"
     if channels.raw:
@@ -271,7 +283,7 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
         fit = " or ".join(f'"{name}"' for name in units)
         return [f'{read}: the unit of [log.accel] is not "{channels.unit_name}"; {fit} would fit']
     if magnitude < UNIT_TOLERANCE * g:
-        return [f"{read}: gravity has been removed from the log; record the raw specific force"]
+        return [Advised(f"{read}: gravity has been removed from the log", "record the raw specific force")]
     return [f'{read}: the unit "{channels.unit_name}" of [log.accel] is not right, and no other known unit fits']
 
 

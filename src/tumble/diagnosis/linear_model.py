@@ -16,8 +16,8 @@ G is, for the methods of the turntable paper, the derivative of their passes; fo
 linear columns A and columns B less their part along rotations of the vertical; for `joint` with linear terms N⁻¹ Aᵀ of
 its normal equations, and with those of the whole instrument N_AA⁻¹ N_AB.
 
-This is docs/explanation/mathematics.md (36) with usual sizes; the columns are those of Eq. (12) of the turntable paper,
-for any number of sensors.
+This is docs/explanation/mathematics.md (36) with usual sizes; the linear columns are the rows of Eq. (13) of the
+turntable paper, for any number of sensors.
 """
 
 from __future__ import annotations
@@ -62,14 +62,23 @@ def converged_joint(observations: Observations, intervals: bool = True) -> Estim
 def omitted_sizes(problem: Problem, full: Estimate | None) -> Array:
     """Return the standard deviations (k,), SI, of the parameters of a problem beyond the linear model.
 
-    They are the usual ones, times the ratio found by the estimate `full` of the whole instrument."""
-    sizes, rms = problem.usual_u[1:].copy(), {}
-    if full is not None:
-        rms = {h.name: h.root_mean_square for h in full.hyperparameters}
-    for group in () if full is None else full.groups:
-        if group.name in problem.instrument.members:
-            ratio = rms.get(group_of(group.name).sized_with or group.name, group.prior_widened)
-            sizes[problem.instrument.members[group.name]] *= ratio
+    They are the usual ones, times the ratio found by the estimate `full` of the whole instrument. Usual sizes are those
+    of a grade: if one group of a kind of sensor is surely larger, the instrument is not of that grade, and groups that
+    the session does not show are taken to be as much larger."""
+    sizes = problem.usual_u[1:].copy()
+    groups = [g for g in (() if full is None else full.groups) if g.name in problem.instrument.members]
+    found = {h.name: h for h in (() if full is None else full.hyperparameters)}
+    ratios, surely = dict[str, float](), {"accel": 1.0, "gyro": 1.0}
+    for finding in groups:
+        group = group_of(finding.name)
+        size = found.get(group.sized_with or group.name)
+        ratios[group.name] = finding.prior_widened if size is None else size.root_mean_square
+        if size is not None and group.variable is None:
+            surely[group.kind] = max(surely[group.kind], size.low)
+    for name, ratio in ratios.items():
+        group = group_of(name)
+        least = surely[group.kind] if group.variable is None else 0.0
+        sizes[problem.instrument.members[name]] *= max(ratio, least)
     return np.asarray(sizes[problem.instrument.linear_count :])
 
 

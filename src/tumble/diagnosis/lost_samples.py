@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from tumble.advice import Advised
 from tumble.diagnosis.causes import SHORTEST_TURN, Candidate, LinearisedSession
 from tumble.diagnosis.findings import Finding
 from tumble.diagnosis.projection import SumOfSquares, approximate_drops, diagnostic_solution
@@ -90,8 +91,10 @@ def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list
             chosen[part.turns.start + worst] = 1.0
             name, number = observed.turn_named(worst), str(observed.turns.first[worst] + 1)
         sentences.append(
-            f"{name} errs about its own axis by {{size}}: samples are missing or held there; leave it out by turn = "
-            f"{number} in [[exclude]], and record with time stamps"
+            Advised(
+                f"{name} errs about its own axis by {{size}}: samples are missing or held there",
+                f"leave it out by turn = {number} in [[exclude]], and record with time stamps",
+            )
         )
     return [
         Candidate(
@@ -129,8 +132,11 @@ def samples_held(observations: Observations) -> Finding | None:
     return Finding(
         causes=("lost samples",),
         concerns=(),
-        sentence=f"{same} of {rows} samples of the turns are copies of the one before, {100.0 * same / rows:.2g} %: "
-        "the log holds the last sample where one is missing; record all of them",
+        sentence=Advised(
+            f"{same} of {rows} samples of the turns are copies of the one before, {100.0 * same / rows:.2g} %: the log "
+            "holds the last sample where one is missing",
+            "record all of them",
+        ),
     )
 
 
@@ -178,6 +184,8 @@ def lost_in_all_turns(session: LinearisedSession, s: int, turns_only: Solution) 
         concerns=("gyro",),
         p_value=along.p_value_against(across),
         by_group={} if jitter_hint(observed) else dict.fromkeys(TURN_GROUPS, np.inf),
-        sentence="turns that err about their own axis, with their angle: samples are missing or held in the log; "
-        + stamps_remedy(observed),
+        sentence=Advised(
+            "turns that err about their own axis, with their angle: samples are missing or held in the log",
+            stamps_remedy(observed),
+        ),
     )

@@ -15,6 +15,7 @@ from operator import attrgetter
 
 import numpy as np
 
+from tumble.advice import Advised, advised, found_in, prefixed, remedy_of
 from tumble.diagnosis.causes import (
     LinearisedSession,
     candidates_of,
@@ -153,23 +154,26 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     ]
     if together is not None:
         named = zip(together.names, by_session, strict=True)
-        by_session = [[replace(one, sentence=f"{name}: {one.sentence}") for one in found] for name, found in named]
+        by_session = [
+            [replace(one, sentence=prefixed(f"{name}: ", one.sentence)) for one in found] for name, found in named
+        ]
         by_session = [found for found in by_session if found]
     findings = [finding for found in by_session[:MOST_SESSIONS] for finding in found]
     findings += [finding for found in by_session[MOST_SESSIONS:] for finding in found if finding.refuses]
     if len(by_session) > MOST_SESSIONS:
         findings.append(
-            remark(f"{len(by_session) - MOST_SESSIONS} more sessions scatter: calibrate them one by one to see why")
+            remark(Advised(f"{len(by_session) - MOST_SESSIONS} more sessions scatter", "calibrate them one by one"))
         )
     jumping = {kind for finding in findings if "jump" in finding.causes for kind in finding.kinds}
     findings += unusual_groups(estimate)
     findings += (one for one in varying if one.causes == ("scale-factor drift",) or jumping.isdisjoint(one.kinds))
     if estimate.method == "joint":
         return tuple(findings)
-    return tuple(
-        replace(one, sentence=f"by the method joint, {one.sentence}".replace(RANDOM_IN_U, "").replace(IN_U, ""))
-        for one in findings
-    )
+    by_joint = []
+    for one in findings:
+        found = f"by the method joint, {found_in(one.sentence)}".replace(RANDOM_IN_U, "").replace(IN_U, "")
+        by_joint.append(replace(one, sentence=advised(found, remedy_of(one.sentence))))
+    return tuple(by_joint)
 
 
 def _with_estimated_sizes(linearised: Linearisation, estimate: Estimate) -> Linearisation:
@@ -197,9 +201,10 @@ class ClockByEarth:
 
     def sentence(self, corrected: str) -> str:
         """Return the result as a sentence; `corrected` names the parameters that are corrected for it."""
-        return (
+        return Advised(
             f"by the Earth's rate a second of the log's clock is {100.0 * (self.rate - 1.0):+.3g} % longer than one, "
-            f"to {100.0 * self.u:.2g} %: {corrected} corrected for it; look at rate_hz, or the time column, in [log]"
+            f"to {100.0 * self.u:.2g} %: {corrected} corrected for it",
+            "look at rate_hz, or the time column, in [log]",
         )
 
 
@@ -284,10 +289,11 @@ def _session_findings(
         explained = any(cause.concerns != ("accel",) for cause in named)
         if ratios.get("turn", 0.0) > MOVEMENT_RATIO * ratios.get("gyro", 0.0) and not explained:
             # a cause by which turns scatter far more than gyros at rest is random; no systematic effect need fit it
-            sentence = "a device that moved after it was put down, or before it was taken up: wait until it lies still"
+            sentence = "a device that moved after it was put down, or before it was taken up"
+            sentence = Advised(sentence, "wait until it lies still")
             named.append(Finding(causes=("movement",), concerns=("gyro",), p_value=1.0, sentence=sentence))
-            sentence = "or samples that are missing or held in the log, which in these turns look like movement: "
-            sentence += stamps_remedy(observations)
+            sentence = "or samples that are missing or held in the log, which in these turns look like movement"
+            sentence = Advised(sentence, stamps_remedy(observations))
             named += (replace(cause, sentence=sentence) for cause in likely if cause.cause == "lost samples")
         named += (cause for cause in likely if cause.p_value < CAUSE_P_VALUE)
     named = named[:MOST_CAUSES]
@@ -299,17 +305,20 @@ def _session_findings(
         finite = np.isfinite(cause.damage)
         damage = f"up to {two_digits(cause.damage)} times their u" if finite else "more than their u, all alike"
         damage += ", if the most harmful of these is the cause" if len(cause.causes) > 1 else ""
-        sentence = f"{cause.sentence}; without it parameters of {', '.join(groups)} err by {damage}"
+        found = f"{found_in(cause.sentence)}; without it parameters of {', '.join(groups)} err by {damage}"
+        sentence = advised(found, remedy_of(cause.sentence))
         yield replace(cause, sentence=sentence, concerns=tuple(groups), refuses=True)
     for group, ratio in scattering.items():
         sentence = _scatter_sentence(group, ratio, linearised)
         if group.name not in REST_SCATTER and group.exceeds_model(ratio, components) and not jitter_hint(observations):
-            yield refusal(sentence.removesuffix(RANDOM_IN_U), *TURN_GROUPS)
+            found = found_in(sentence).removesuffix(RANDOM_IN_U)
+            yield refusal(advised(found, remedy_of(sentence)), *TURN_GROUPS)
         elif group.name not in reported:
             yield remark(sentence, group.concerns)
     for cause in named:
         if cause not in harmful:
-            yield replace(cause, sentence=f"probable cause: {cause.sentence}", unsteady=cause.cause in CHANGES)
+            sentence = prefixed("probable cause: ", cause.sentence)
+            yield replace(cause, sentence=sentence, unsteady=cause.cause in CHANGES)
     yield from _erratic_biases(linearised)
 
 
@@ -327,9 +336,11 @@ def _erratic_biases(linearised: Linearisation) -> Iterator[Finding]:
         change = float(size * np.sqrt(-2.0 * np.expm1(-interval / time))) if time > 0.0 else 0.0
         if change > max(MODEL_FAILURE_RATIO * noise, NEGLIGIBLE_SCATTER[kind]):
             yield refusal(
-                f"biases of the {SENSORS[kind]} change by {with_unit(change, BIAS_UNITS[kind])} from one rest to the "
-                f"next, {change / noise:.2g} times the noise of a rest: the model does not describe this; look at the "
-                "rests with `tumble inspect`",
+                Advised(
+                    f"biases of the {SENSORS[kind]} change by {with_unit(change, BIAS_UNITS[kind])} from one rest to "
+                    f"the next, {change / noise:.2g} times the noise of a rest: the model does not describe this",
+                    "look at the rests with `tumble inspect`",
+                ),
                 *(kind, *(TURN_GROUPS if kind == "accel" else ())),
             )
 
@@ -346,17 +357,21 @@ def _scatter_sentence(group: ResidualGroup, ratio: float, linearised: Linearisat
                 "to sample, as instantaneous samples of jerky turns do"
             )
     if jumps and not exceeds:
-        return f"{jumps}{IN_U}; turn smoothly, or sample faster{jitter_hint(observations)}"
+        return Advised(f"{jumps}{IN_U}", f"turn smoothly, or sample faster{jitter_hint(observations)}")
     if scatter == 0.0:
         return f"the {group.words} are further from the fit than their noise explains"
-    sentence = f"the {group.words} scatter by {with_unit(scatter, group.unit)}, {ratio:.2g} times their noise"
+    sentence, remedies = f"the {group.words} scatter by {with_unit(scatter, group.unit)}", list[str]()
+    sentence += f", {ratio:.2g} times their noise"
     if exceeds:
         sentence += f", more than {MODEL_FAILURE_RATIO:.0f}: the model does not describe this"
         if group.name not in REST_SCATTER:
-            sentence += f"; look for lost or held samples{jitter_hint(observations)}"
-    sentence += f"; and {jumps}: turn smoothly, or sample faster" if jumps else ""
-    remedy = "; longer rests on a hard support reduce it" if group.name in REST_SCATTER and not exceeds else ""
-    return f"{sentence}{RANDOM_IN_U}{remedy}"
+            remedies.append(f"look for lost or held samples{jitter_hint(observations)}")
+    elif group.name in REST_SCATTER:
+        remedies.append("longer rests on a hard support reduce it")
+    if jumps:
+        sentence += f"; and {jumps}"
+        remedies.append("turn smoothly, or sample faster")
+    return advised(f"{sentence}{RANDOM_IN_U}", *remedies)
 
 
 def unusual_groups(estimate: Estimate) -> Iterator[Finding]:
@@ -373,9 +388,10 @@ def unusual_groups(estimate: Estimate) -> Iterator[Finding]:
             words = f"{group.words} (about {times:.2g} times the usual {usual} {name})".replace(" °", "°")
             by_kind.setdefault(group.kind, {})[group.name] = words
     for kind, groups in by_kind.items():
-        sentence = (
-            f"larger than usual: {', '.join(groups.values())}{IN_U}; if the device is like that, state sizes in "
-            "[device.prior] or another grade; otherwise look for disturbances in the log"
+        sentence = Advised(
+            f"larger than usual: {', '.join(groups.values())}{IN_U}",
+            "if the device is like that, state sizes in [device.prior] or another grade; otherwise look for "
+            "disturbances in the log",
         )
         yield Finding(sentence=sentence, concerns=(kind,), causes=tuple(groups))
 
@@ -418,9 +434,10 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
                     assert estimate.own is not None
                     drifts = estimate.own.values[:, problem.local_members[name]]
                 changed = with_unit(longest * float(np.abs(drifts).max()), drift_unit)
-                sentence = (
+                sentence = advised(
                     f"{parameters} drift by {changed} over the session, the values given are means over its "
-                    f"rests{IN_U}; let the device warm up, or make the session shorter"
+                    f"rests{IN_U}",
+                    "let the device warm up, or make the session shorter",
                 )
                 yield Finding(sentence=sentence, concerns=(f"{kind}.{what}",), causes=(cause,), unsteady=True)
         size, time, bias = by_name.get(f"{kind}_in_run"), by_name.get(f"{kind}_time"), (f"{kind}.bias",)
@@ -432,11 +449,10 @@ def _varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterat
             sentence = f"biases of the {words} wander by {in_run} in the session, where {usual} is usual"
             lasting = time.value > longest
             if lasting:
-                sentence += (
-                    ", and last longer than the session: a drift, a jump, or warm-up after power-on; switch on earlier"
-                )
+                sentence += ", and last longer than the session: a drift, a jump, or warm-up after power-on"
             cause = "drift" if lasting else "in-run bias"
-            yield Finding(sentence=f"{sentence}{IN_U}", concerns=bias, causes=(cause,), unsteady=True)
+            sentence = advised(f"{sentence}{IN_U}", "switch on earlier" if lasting else "")
+            yield Finding(sentence=sentence, concerns=bias, causes=(cause,), unsteady=True)
         for sensor in block.sensors:
             ratio = by_name.get(f"{kind}.in_run.{sensor}")
             if ratio is not None and is_unusual(ratio):

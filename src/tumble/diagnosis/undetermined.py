@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from tumble.advice import Advised, advised, found_in, remedy_of
 from tumble.diagnosis.findings import Finding, refusal, remark
 from tumble.diagnosis.observability import faces_and_edges, most_informative, rest_rows, standing
 from tumble.inference.estimate import DETERMINED, Estimate
@@ -43,7 +44,7 @@ def undetermined(estimate: Estimate, observations: Observations, missing: tuple[
     if missing:
         sentence = f"not observable in this session: {parameter_list(missing)}"
         if one_vertical := one_attitude(observations):
-            sentence = f"{one_vertical}; {sentence}"
+            sentence = advised(f"{found_in(one_vertical)}; {sentence}", remedy_of(one_vertical))
         else:
             block, rests = observations.accel_block, len(observations.rests)
             needed = len(linear_names(block.names)) if block.size == len("xyz") else 0
@@ -52,7 +53,7 @@ def undetermined(estimate: Estimate, observations: Observations, missing: tuple[
             turns = observations.turns_left_out if "gyro" in kinds else ()
             left_out = "".join(turns[:1]) + (f" (and {len(turns) - 1} more)" if len(turns) > 1 else "")
             helpful = _most_helpful(estimate, observations, estimate.null)
-            sentence = _joined(too_few, left_out, sentence, helpful)
+            sentence = advised(_joined(too_few, left_out, sentence), helpful)
         findings.append(refusal(sentence, *_groups_of(missing)))
     combinations, u, refused = _poorly_determined(estimate, observations, {sensor_kind(name) for name in missing})
     if len(u):
@@ -65,7 +66,7 @@ def undetermined(estimate: Estimate, observations: Observations, missing: tuple[
             terms = " ".join(f"{'+' if sign * combination[i] > 0 else '−'} {estimate.names[i]}" for i in parts)
             described.append(f"{terms.removeprefix('+ ')} (known to {100.0 * each_u:.2g} % of its usual size)")
         helpful = _most_helpful(estimate, observations, combinations)
-        sentence = _joined(f"poorly observable in this session: {'; '.join(described)}", helpful)
+        sentence = advised(f"poorly observable in this session: {'; '.join(described)}", helpful)
         # accelerometers first: if they are among them, rests are missing, and they are no better alone
         concerned = tuple(sorted(_groups_of([estimate.names[i] for parts in largest for i in parts])))
         findings.append(Finding(sentence=sentence, concerns=concerned, refuses=refused))
@@ -84,7 +85,7 @@ def six_faces(estimate: Estimate, observations: Observations, missing: Sequence[
         "six faces give bias and scale factor of each axis alone: not observable in this session and taken as 0 is "
         f"{parameter_list(missing)}, whose usual size u includes"
     )
-    return remark(_joined(sentence, _most_helpful(estimate, observations, estimate.null)), "accel")
+    return remark(advised(sentence, _most_helpful(estimate, observations, estimate.null)), "accel")
 
 
 def one_attitude(observations: Observations) -> str:
@@ -93,9 +94,10 @@ def one_attitude(observations: Observations) -> str:
         return ""
     N = len(observations.rests)
     counted = "1 rest" if N == 1 else f"all {N} rests"
-    return (
-        f"the device lay in one attitude ({counted}), which calibrates nothing: put it down in others too, 5 s in "
-        "each (`tumble programme` lists them); `tumble noise` gives the noise of a recording at rest"
+    return Advised(
+        f"the device lay in one attitude ({counted}), which calibrates nothing",
+        "put it down in others too, 5 s in each (`tumble programme` lists them); `tumble noise` gives the noise of a "
+        "recording at rest",
     )
 
 
@@ -163,9 +165,11 @@ def uncertain_gravity(site: Site) -> Iterator[Finding]:
     if np.sqrt(3.0) * relative < POORLY_KNOWN * group_of("accel.scale").limit:
         return
     yield remark(
-        f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: the common "
-        f"scale of the accelerometers is known to {100.0 * relative:.2g} % only, which u includes; state latitude_deg "
-        "and height_m in [site] (--latitude, --height), or gravity",
+        Advised(
+            f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: the "
+            f"common scale of the accelerometers is known to {100.0 * relative:.2g} % only, which u includes",
+            "state latitude_deg and height_m in [site] (--latitude, --height), or gravity",
+        ),
         "accel.scale",
     )
 

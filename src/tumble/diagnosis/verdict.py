@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import scipy
 
+from tumble.advice import Advised
 from tumble.diagnosis.findings import Finding, outcome_of, refusal, remark
 from tumble.diagnosis.misfit import misfit, unusual_groups
 from tumble.diagnosis.projection import FALSE_ALARMS
@@ -71,7 +72,10 @@ def verdict(
     if not estimate.converged and (faces or not missing):
         findings.append(
             refusal(
-                "the estimate did not converge: the data contradict the model; look at the rests with `tumble inspect`"
+                Advised(
+                    "the estimate did not converge: the data contradict the model",
+                    "look at the rests with `tumble inspect`",
+                )
             )
         )
     findings += [*of_gravity, *_excessive_scatter(estimate, observations)]
@@ -95,25 +99,28 @@ def verdict(
 
 
 def _doubtful_gravity(site: Site) -> Iterator[Finding]:
-    """Refuse gravity that no place on Earth has, and report gravity that few places have.
-
-    A height of zero is also that of a site whose height is not stated."""
+    """Refuse gravity that no place on Earth has, and report gravity that few places have."""
     anomaly = gravity_anomaly(site)
     if anomaly is not None and abs(anomaly) > IMPOSSIBLE_ANOMALY:
         yield refusal(
-            f"{gravity_text(site)}, more than {IMPOSSIBLE_ANOMALY / MILLIGAL:.0f}: every scale factor of the "
-            "accelerometers would be wrong with it; correct gravity, latitude_deg or height_m in [site], or write "
-            "gravity_confirmed = true",
+            Advised(
+                f"{gravity_text(site)}, more than {IMPOSSIBLE_ANOMALY / MILLIGAL:.0f}: every scale factor of the "
+                "accelerometers would be wrong with it",
+                "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true",
+            ),
             "accel.scale",
         )
         return
-    normal_u = NORMAL_GRAVITY_U if site.height else UNKNOWN_HEIGHT_GRAVITY_U
+    normal_u = UNKNOWN_HEIGHT_GRAVITY_U if site.height is None else NORMAL_GRAVITY_U
     sigmas = abs(anomaly or 0.0) / float(np.hypot(site.gravity_u, normal_u))
     if sigmas > DOUBTFUL_SIGMAS:
+        place = " at sea level" if site.height is None else f" at {site.height:.0f} m"
         yield remark(
-            f"{gravity_text(site)} at {site.height:.0f} m, {sigmas:.1f} times the standard uncertainty of both: "
-            "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true; if it is wrong, "
-            f"so are the scale factors of the accelerometers, by {1e6 * (anomaly or 0.0) / site.gravity:+.0f} ppm",
+            Advised(
+                f"{gravity_text(site)}{place}, {sigmas:.1f} times the standard uncertainty of both: if it is wrong, so "
+                f"are the scale factors of the accelerometers, by {1e6 * (anomaly or 0.0) / site.gravity:+.0f} ppm",
+                "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true",
+            ),
             "accel.scale",
         )
 
@@ -145,8 +152,10 @@ def _excessive_scatter(estimate: Estimate, observations: Observations) -> Iterat
     if turns is not None and turns.scatter > TURN_SCATTER_LIMIT:
         worst = observations.turn_named(int(np.argmax(estimate.turn_sigmas)))
         yield refusal(
-            f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°: look "
-            f"for damaged or lost samples of the gyros, first in {worst}",
+            Advised(
+                f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°",
+                f"look for damaged or lost samples of the gyros, first in {worst}",
+            ),
             "gyro",
         )
 
@@ -169,8 +178,11 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Fin
     ):
         if omitted.sum() > LARGEST_SHARE * len(omitted):
             yield refusal(
-                f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third: the data contradict the "
-                "model; look at the rests with `tumble inspect`",
+                Advised(
+                    f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third: the data contradict the "
+                    "model",
+                    "look at the rests with `tumble inspect`",
+                ),
                 kind,
             )
 
@@ -210,19 +222,22 @@ def _of_motion(estimate: Estimate, observations: Observations, missing: tuple[st
         "attitudes, or put it down in nine or more positions (`tumble programme` shows them)"
     )
     if not estimate.converged or linearised is None:
-        yield refusal(f"{sentence} do not fit the model; {advice}")
+        yield refusal(Advised(f"{sentence} do not fit the model", advice))
         return
     if missing:
         named = ", ".join(missing[:MOST_NAMED]) + (" and others" if len(missing) > MOST_NAMED else "")
-        yield refusal(f"{sentence} do not determine {named} well enough; {advice}", *missing)
+        yield refusal(Advised(f"{sentence} do not determine {named} well enough", advice), *missing)
     support, displacement = linearised.point.local[0, -SUPPORT_COLUMNS:], float(linearised.components.displacement)
     if scipy.special.chdtrc(SUPPORT_COLUMNS, float((support**2).sum()) / SUPPORT_U**2) < FALSE_ALARMS:
         yield refusal(
-            f"the device moved by {100.0 * float(np.abs(support).max()):.1f} cm and more with its attitude: what held "
-            "it gave way; hold it by something stiffer, or turn it in the hand without a rhythm"
+            Advised(
+                f"the device moved by {100.0 * float(np.abs(support).max()):.1f} cm and more with its attitude: what "
+                "held it gave way",
+                "hold it by something stiffer, or turn it in the hand without a rhythm",
+            )
         )
     elif displacement > LARGEST_DISPLACEMENT and not missing:
-        yield refusal(f"the device moved by {displacement:.1f} m in motion: keep it in one place")
+        yield refusal(Advised(f"the device moved by {displacement:.1f} m in motion", "keep it in one place"))
     yield from unusual_groups(estimate)
 
 
@@ -276,7 +291,7 @@ def no_rests(segmentation: Segmentation) -> Outcome:
         "waved through all attitudes `tumble ellipsoid LOG` makes what can be made; `tumble inspect` shows what was "
         "rejected"
     )
-    return Outcome(reasons=(f"{reason}; {advice}",))
+    return Outcome(reasons=(Advised(reason, advice),))
 
 
 def unused_quiet_time(segmentation: Segmentation, *, in_motion: bool = False) -> tuple[str, ...]:
@@ -288,18 +303,21 @@ def unused_quiet_time(segmentation: Segmentation, *, in_motion: bool = False) ->
     unused = sum(stretch.stop - stretch.start for stretch in left_out)
     if unused <= LARGEST_SHARE * (used + unused):
         return ()
-    return (
+    sentence = (
         f"{unused:.0f} s of {used + unused:.0f} s in which the device was quiet are not used as rests, more than a "
-        "third (the notes say why); let it lie still for longer, without vibration or sway",
+        "third (the notes say why)"
     )
+    return (Advised(sentence, "let it lie still for longer, without vibration or sway"),)
 
 
 # -------------------- gravity of the site --------------------
 
 
 def gravity_anomaly(site: Site) -> float | None:
-    """Return gravity of a site less normal gravity, m/s²; None if the latitude is unknown."""
-    return None if site.latitude is None else site.gravity - normal_gravity(site.latitude, site.height)
+    """Return gravity of a site less normal gravity, m/s²; None if the latitude is unknown.
+
+    Without a height normal gravity is that at sea level."""
+    return None if site.latitude is None else site.gravity - normal_gravity(site.latitude, site.height or 0.0)
 
 
 def anomaly_text(site: Site) -> str | None:
@@ -341,8 +359,9 @@ def doubtful_time_base(estimate: Estimate, usual: float) -> tuple[str, ...]:
     t = mean / np.sqrt(variance)
     if 2.0 * scipy.special.stdtr(degrees * (variance / by_spread) ** 2, -abs(t)) > FALSE_ALARMS:
         return ()
-    return (
+    sentence = (
         f"the scale factors of the gyros err alike, by {100.0 * mean:+.2g} %, and differ by {100.0 * spread:.2g} %: "
         "the sample rate or the time stamps are wrong by as much, or the nominal scale of the gyros is, "
-        "indistinguishable in this session; measure the rate by a clock",
+        "indistinguishable in this session"
     )
+    return (Advised(sentence, "measure the rate by a clock"),)

@@ -28,14 +28,16 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 from scipy.linalg import polar
 
+from tumble.documents import text_of_document
 from tumble.errors import InputError
+from tumble.export import split_template
 from tumble.export.exported import MAGNETOMETER, Exported, example_line, in_units, notes_of, origin, shown, triads
-from tumble.export.templates import front_of, render_layout
+from tumble.export.templates import LAYOUTS, render_layout
 from tumble.reduction.rests.warming import LEAST_CHANGE
 from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
-from tumble.result.temperature_curves import Range, measured_range, rests_with_temperature, thermal_parameters
+from tumble.result.temperature_curves import measured_range, rests_with_temperature, thermal_parameters
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import OVER_TEMPERATURE, group_name
 from tumble.units import DEGREE, TESLA, Array
@@ -95,7 +97,7 @@ class Triad:
     offset: Array
     factor: Array
     known: bool
-    measured: Range | None = None
+    measured: tuple[float, float] | None = None
     reference: float = math.nan
     slopes: Array = field(default_factory=lambda: np.zeros((3, 3)))
     coefficients: Array = field(default_factory=lambda: np.zeros((3, 3)))
@@ -104,7 +106,7 @@ class Triad:
         """Return the largest slope of a bias within the measured range, SI per K."""
         linear, square, cube = self.slopes.T
         assert self.measured is not None
-        d = self.measured.temperatures()[:, None] - self.reference
+        d = np.linspace(*self.measured, 201)[:, None] - self.reference
         return float(np.abs(linear + (2.0 * square + 3.0 * cube * d) * d).max())
 
     def correct(self, readings: Array) -> Array:
@@ -213,7 +215,7 @@ def _shared_thermometers(pilot: Autopilot, calibration: Calibration, applied: Se
     return notes
 
 
-def temperature_range(calibration: Calibration, target: str) -> Range:
+def temperature_range(calibration: Calibration, target: str) -> tuple[float, float]:
     """Return the temperatures at which a calibration was measured. Raises InputError if nothing changes over them."""
     measured = measured_range(calibration)
     if calibration.reference_temperature is None or not thermal_parameters(calibration):
@@ -228,9 +230,9 @@ def temperature_range(calibration: Calibration, target: str) -> Range:
     return measured
 
 
-def example_temperature(measured: Range) -> float:
+def example_temperature(measured: tuple[float, float]) -> float:
     """Return the temperature of worked examples: the warm end of the range, rounded down to 0.1 °C."""
-    return math.floor(10.0 * measured.high) / 10.0
+    return math.floor(10.0 * measured[1]) / 10.0
 
 
 # -------------------- the files --------------------
@@ -242,10 +244,11 @@ def _autopilot(
     """Return the file of a calibration, for the recorded IMU or the `imu`-th, with remarks, examples and notes as
     comments. `sensor_ids` are the device ids of accelerometer and gyro, if the recording has none."""
     layout, thermal = PX4 if target.startswith("px4") else ARDUPILOT, target.endswith("-thermal")
-    pilot = Autopilot(**front_of(layout))
+    front, _ = split_template(text_of_document(LAYOUTS / layout), layout)
+    pilot = Autopilot(**front)
     applied = _triads(pilot, target, calibration, imu, thermal=thermal)
     measured = applied[0].measured
-    if measured is not None and (span := measured.high - measured.low) < LEAST_CHANGE:
+    if measured is not None and (span := measured[1] - measured[0]) < LEAST_CHANGE:
         raise InputError(
             f"export to {target}: expected temperatures that span at least {LEAST_CHANGE:g} K, found {span:.1f} K, "
             "over which a drift in time looks like a slope; record while it warms up, or export to "
@@ -253,7 +256,7 @@ def _autopilot(
         )
     ids: dict[str, int | None] = {kind: sensor.id for kind, sensor in calibration.imu.items()}
     ids |= {} if sensor_ids is None else dict(zip(("accel", "gyro"), sensor_ids, strict=True))
-    signed = {kind: _signed(device) for kind, device in ids.items() if device is not None}
+    signed = {kind: n - 2**32 if n >= 2**31 else n for kind, n in ids.items() if n is not None}  # as PX4 has them
     both, remarks, see_to = signed if len(signed) == 2 else None, list[str](), list[str]()
     if imu is None and not calibration.imu:
         see_to.append(
@@ -305,10 +308,11 @@ def _thermal_advice(applied: Sequence[Triad], *, px4: bool, has_ids: bool) -> It
             f"to {errors}"
         )
     if (measured := applied[0].measured) is not None:
-        span = measured.high - measured.low
+        low, high = measured
+        span = high - low
         few = f" (only {span:.1f} K: warm it through the temperatures of its use)" if span < WIDE else ""
         yield (
-            f"outside {measured.low:.1f} to {measured.high:.1f} degC nothing was measured{few}: the target keeps the "
+            f"outside {low:.1f} to {high:.1f} degC nothing was measured{few}: the target keeps the "
             "offsets of the nearer end"
         )
     if px4 and not has_ids:
@@ -316,11 +320,6 @@ def _thermal_advice(applied: Sequence[Triad], *, px4: bool, has_ids: bool) -> It
             "TC_*_ID are not in this file: set them to CAL_ACC*_ID and CAL_GYRO*_ID, or give --sensor-ids; without "
             "them PX4 compensates nothing"
         )
-
-
-def _signed(device: int) -> int:
-    """Return a device id as the signed integer of PX4."""
-    return device - 2**32 if device >= 2**31 else device
 
 
 def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[Mapping[str, Array] | None, list[str], list[str]]:

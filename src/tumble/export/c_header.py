@@ -69,7 +69,7 @@ def c_header(calibration: Calibration) -> Exported:
         comments.append(example_line(kind, worked, where=where))
     if thermal:
         measured = measured_range(calibration)
-        span = "" if measured is None else f", measured from {measured.low:.1f} to {measured.high:.1f}"
+        span = "" if measured is None else f", measured from {measured[0]:.1f} to {measured[1]:.1f}"
         comments.append(
             f"functions without a temperature are for {calibration.reference_temperature:g} degC; those in _at take "
             f"it, in degC{span}"

@@ -138,11 +138,6 @@ def yaml_number(value: float) -> str:
     return mantissa + (".0" if e and "." not in mantissa else "") + e + exponent
 
 
-def yaml_list(values: Array) -> str:
-    """Format numbers as a YAML list on one line."""
-    return f"[{', '.join(map(yaml_number, numbers(values)))}]"
-
-
 # -------------------- what a target cannot hold --------------------
 
 
@@ -236,7 +231,7 @@ def _largest_effect(calibration: Calibration, group: ParameterGroup) -> tuple[fl
         slopes = [abs(value) for name, value in values.items() if group_name(name) == f"{group.kind}.bias.t1"]
         return abs(float(members[0])) * HEATING_RATE * max(slopes, default=0.0), "at 1 K/min"
     measured = measured_range(calibration)
-    warming = WARMING if measured is None else min(WARMING, measured.high - measured.low)  # no extrapolation
+    warming = WARMING if measured is None else min(WARMING, measured[1] - measured[0])  # no extrapolation
     span, over = (HOUR, "after an hour") if group.variable == "time" else (warming, f"in {warming:.2g} K")
     if group.variable == "hysteresis":
         span, over = 1.0, "on the way up or down"

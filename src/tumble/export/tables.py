@@ -31,10 +31,9 @@ from tumble.export.exported import Exported, example_line, in_units, models, not
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.file import content_of
-from tumble.result.temperature_curves import Range, temperature_curve, thermal_parameters, thermometer_notes
+from tumble.result.temperature_curves import temperature_curve, thermal_parameters, thermometer_notes
 from tumble.sensors.model import UNITS
 from tumble.sensors.parameters import THERMAL, group_name, groups, variable_of
-from tumble.units import Array
 
 NOT_RESULTS = "rests, turns, launches and iterations of the calibration have no place in this file"
 _FURTHER = ("prior", "learned", "k", "dof")
@@ -84,7 +83,10 @@ def csv_thermal(calibration: Calibration) -> Exported:
     """Return the .csv file of a calibration over temperature."""
     by_kind = models(calibration)
     measured = temperature_range(calibration, "csv-thermal")
-    celsius = _row_temperatures(measured, float(calibration.reference_temperature or 0.0))
+    low, high = measured
+    step = next((step for step in _STEPS if (high - low) / step <= _MAX_ROWS), _STEPS[-1])
+    round_ones = np.round(np.arange(math.ceil(low / step), math.floor(high / step) + 1) * step, 1)
+    celsius = np.unique([low, calibration.reference_temperature or 0.0, high, *round_ones])
     curves = [temperature_curve(calibration, name, celsius) for name in thermal_parameters(calibration)]
     thermal_groups = {group_name(p.name) for p in calibration.parameters if variable_of(group_name(p.name)) in THERMAL}
     errors, middle = dict.fromkeys(by_kind, 0.0), 0.5 * (celsius[1:] + celsius[:-1])  # of linear interpolation
@@ -105,8 +107,8 @@ def csv_thermal(calibration: Calibration) -> Exported:
     at_warm = {kind: linear_example(kind, calibration.compensator.model(kind, warm)) for kind in by_kind}
     comments = [
         *origin(calibration),
-        f"reference temperature {calibration.reference_temperature:g} degC; measured from {measured.low:.1f} to "
-        f"{measured.high:.1f} degC, nothing is known outside",
+        f"reference temperature {calibration.reference_temperature:g} degC; measured from {low:.1f} to "
+        f"{high:.1f} degC, nothing is known outside",
         *thermometer_notes(calibration),
         *(example_line(kind, worked, where=f" at {warm!r} degC") for kind, worked in at_warm.items()),
         *losses,
@@ -118,15 +120,6 @@ def csv_thermal(calibration: Calibration) -> Exported:
             row += [f"{each.value[i]:.9g}", "" if each.expanded is None else f"{each.expanded[i]:.4g}"]
         rows.append(row)
     return _csv_file(comments, rows, losses)
-
-
-def _row_temperatures(measured: Range, reference: float) -> Array:
-    """Return the temperatures of the rows, °C: round ones, the reference, and both ends of the range."""
-    span = measured.high - measured.low
-    step = next((step for step in _STEPS if span / step <= _MAX_ROWS), _STEPS[-1])
-    first, last = math.ceil(measured.low / step), math.floor(measured.high / step)
-    round_ones = np.round(np.arange(first, last + 1) * step, 1)
-    return np.unique(np.concatenate([[measured.low, reference, measured.high], round_ones]))
 
 
 def mat(calibration: Calibration) -> Exported:

@@ -68,7 +68,6 @@ from tumble.export.exported import (
     origin,
     shown,
     triads,
-    yaml_list,
     yaml_number,
 )
 from tumble.result.calibration import Calibration
@@ -144,6 +143,8 @@ class Template:
 
         Raises InputError for a calibration that the target cannot hold, and for an expression or a body with an
         error."""
+        from jinja2 import TemplateSyntaxError
+
         front = self.front
         needs: list[SensorKind] = [*front.needs]
         by_kind = triads(calibration, self.name, needed=needs, held=front.holds)
@@ -161,21 +162,34 @@ class Template:
                 continue
             per_si = 1.0
             if front.counts is not None:
-                per_si, source = counts_per_si(calibration, kind, front.counts, counts)
-                comments.append(source)
+                (size, unit), readings = _PER[kind], calibration.provenance.readings.get(kind)
+                if counts is not None:
+                    per_si, source = _usual_counts(kind, counts), "--counts"
+                elif readings is not None and readings.unit == "count" and np.ptp(readings.scale) == 0.0:
+                    per_si, source = float(readings.scale[0]), "the recording"
+                else:
+                    per_si = _usual_counts(kind, front.counts)
+                    source = "the usual range of the chip: see that it is yours, or give --counts"
+                comments.append(f"{kind}: {per_si * size:.6g} counts a {unit}, by {source}")
             values, correct = self.correction(kind, model, per_si, g_sensitivity(calibration))
             numbers[kind] = {name: value.tolist() for name, value in values.items()}
             worked = linear_example(kind, model)
             comments.append(example_line(kind, worked, correct(worked.reading)))
             corrections[kind] = correct
         losses = notes_of(calibration, corrections=corrections, left=remarks, held=front.holds, see_to=front.notes)
-        text = self._render(
-            comments=[*comments, *losses],
-            serial=one_line(calibration.serial),
-            model=one_line(calibration.model or ""),
-            frame=calibration.frame,
-            **numbers,
-        )
+        names: dict[str, Any] = {str(kind): each for kind, each in numbers.items()}
+        names |= {
+            "comments": [*comments, *losses],
+            "serial": one_line(calibration.serial),
+            "model": one_line(calibration.model or ""),
+            "frame": calibration.frame,
+        }
+        try:
+            text = str(_environment().from_string(self.body).render(names))
+        except Exception as error:  # of Jinja, and of what the body calls
+            place = f", line {self.line + error.lineno}" if isinstance(error, TemplateSyntaxError) else ""
+            fault = _reason(error, names)
+            raise InputError(f"{self.name}{place}: expected a body that can be filled in, found {fault}") from None
         return Exported(content=text.encode(), losses=losses)
 
     def correction(
@@ -246,16 +260,6 @@ class Template:
             raise InputError(f"{self.name}: {where}: expected an expression with a value, found {reason}") from None
         return value
 
-    def _render(self, **names: Any) -> str:
-        from jinja2 import TemplateSyntaxError
-
-        try:
-            return str(_environment().from_string(self.body).render(names))
-        except Exception as error:
-            fault = _reason(error, names)
-            place = f", line {self.line + error.lineno}" if isinstance(error, TemplateSyntaxError) else ""
-            raise InputError(f"{self.name}{place}: expected a body that can be filled in, found {fault}") from None
-
 
 def read_template(file: Path, name: str | None = None) -> Template:
     """Read a template, called by its path in messages or by the `name` of its target.
@@ -269,25 +273,12 @@ def read_template(file: Path, name: str | None = None) -> Template:
     return template
 
 
-def counts_per_si(
-    calibration: Calibration, kind: SensorKind, usual: list[float], given: tuple[float, float] | None
-) -> tuple[float, str]:
-    """Return the counts per SI unit, given, of the recording or usual, with a sentence that names the source."""
-    size, unit = (G_STANDARD, "g") if kind == "accel" else (DEGREE, "deg/s")
-    readings = calibration.provenance.readings.get(kind)
-    if given is not None:
-        counts, source = _usual_counts(kind, given), "--counts"
-    elif readings is not None and readings.unit == "count" and np.ptp(readings.scale) == 0.0:
-        counts, source = float(readings.scale[0]), "the recording"
-    else:
-        counts = _usual_counts(kind, usual)
-        source = "the usual range of the chip: see that it is yours, or give --counts"
-    return counts, f"{kind}: {counts * size:.6g} counts a {unit}, by {source}"
+_PER: Mapping[SensorKind, tuple[float, str]] = {"accel": (G_STANDARD, "g"), "gyro": (DEGREE, "deg/s")}
 
 
 def _usual_counts(kind: SensorKind, counts: list[float] | tuple[float, float]) -> float:
     """Convert counts per g and per °/s to counts per SI unit."""
-    return counts[0] / G_STANDARD if kind == "accel" else counts[1] / DEGREE
+    return counts[kind == "gyro"] / _PER[kind][0]
 
 
 # -------------------- functions and filters of templates --------------------
@@ -336,11 +327,6 @@ def _reason(error: Exception, names: Iterable[str]) -> str:
     return reason + (f"; there are {', '.join(_FILTERS)}" if reason.startswith("No filter named") else "")
 
 
-def front_of(layout: str) -> dict[str, Any]:
-    """Return the front matter of a layout."""
-    return split_template(text_of_document(LAYOUTS / layout), layout)[0]
-
-
 def render_layout(layout: str, **names: Any) -> str:
     """Render a layout, without its front matter, with these names."""
     text = text_of_document(LAYOUTS / layout)
@@ -372,7 +358,8 @@ def _as_json(value: Any, indent: int | None = None) -> str:
 
 
 def _as_yaml(value: Any) -> str:
-    return yaml_number(value) if np.ndim(value) == 0 else yaml_list(np.array(value))
+    """Format a number, or numbers as a list on one line."""
+    return yaml_number(value) if np.ndim(value) == 0 else f"[{', '.join(map(yaml_number, np.ravel(value)))}]"
 
 
 def _as_float32(value: float) -> str:

@@ -1,1 +1,1 @@
-"""Likelihood of a session, its joint maximum, and the posterior integrated over the hyperparameters."""
+"""Likelihood of a session, the maximum of the posterior of its hyperparameters, and the integral over them."""

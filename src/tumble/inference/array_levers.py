@@ -144,7 +144,14 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
         if np.abs(step[:-COMMON]).max() < CONVERGED:
             break
     share = (1.0 - 2.0 / (n - 6)) ** 2
-    normal, gradient = _with_floor(share * normal, share * gradient)
+    normal, gradient = share * normal, share * gradient
+    # the floors added to the variances of delay and places, where levers, relative to the last, gain FLOOR² (I + 1 1ᵀ)
+    first = slice(0, 3 * n - 2)
+    inner = normal[first, first].copy()
+    inner[:-1, :-1] += np.kron(np.eye(n - 1) - 1.0 / n, np.eye(3)) / LEVER_FLOOR**2
+    inner[-1, -1] += DELAY_FLOOR**-2.0
+    less = np.linalg.solve(inner, np.column_stack([normal[first], gradient[first]]))
+    normal, gradient = normal - normal[:, first] @ less[:, :-1], gradient - normal[:, first] @ less[:, -1]
     size, direction = np.linalg.eigh(normal)
     informative = size > OUT_OF_RANGE * size[-1]
     root = np.sqrt(size[informative])[:, None] * direction[:, informative].T
@@ -182,16 +189,3 @@ def _linear(moments: ArrayMoments, K: Array, r: Array, delay: float, E: Array) -
     common[1:, :, where["products"]] = np.einsum("pm,eml->epl", whirl, _BY_RATE_ERROR.reshape(9, 6, 6))
     N = np.linalg.qr(H, mode="complete")[0][:, H.shape[1] :]
     return readings, own, common, N @ N.T
-
-
-def _with_floor(normal: Array, gradient: Array) -> tuple[Array, Array]:
-    """Return the normal equations with LEVER_FLOOR and DELAY_FLOOR added to the variances of places and delay.
-
-    Lever arms are relative to the last place, so that their covariance gains LEVER_FLOOR² (I + 1 1ᵀ)."""
-    others = (len(normal) - COMMON) // 3
-    first = slice(0, 3 * others + 1)
-    inner = normal[first, first].copy()
-    inner[:-1, :-1] += np.kron(np.eye(others) - 1.0 / (others + 1), np.eye(3)) / LEVER_FLOOR**2
-    inner[-1, -1] += DELAY_FLOOR**-2.0
-    less = np.linalg.solve(inner, np.column_stack([normal[first], gradient[first]]))
-    return normal - normal[:, first] @ less[:, :-1], gradient - normal[:, first] @ less[:, -1]

@@ -19,14 +19,13 @@ import numpy as np
 import scipy
 
 from tumble.inference.estimate import Fit
-from tumble.inference.noise import NoiseModel
+from tumble.inference.noise import SCATTER_WORDS, NoiseModel
 from tumble.inference.normal_equations import Solution
 from tumble.inference.problem import MAGNETIC_ROWS, Problem
 from tumble.units import Array, BoolArray
 
-GROUPS = ("accelerometers", "gyro rests", "gyro turns", "velocities of turns")
-SCATTER_NAMES = ("accel", "gyro", "turn", "velocity")
-SCATTER_UNITS = ("m/s^2", "rad/s", "rad", "m/s")
+# groups of residuals, with the component of variance of each
+GROUPS = {"accelerometers": "accel", "gyro rests": "gyro", "gyro turns": "turn", "velocities of turns": "velocity"}
 MAGNETOMETER = "magnetometer"  # group of the readings of a magnetometer
 TOTAL = "noise within rests"  # fit of all residuals without scatter
 NU = 4.0  # ν: degrees of freedom of a robust fit
@@ -53,8 +52,31 @@ def chi_square_falls(solution: Solution) -> Falls:
     link = equations.link_whitening, solution.link_residuals, noise.link_weights
     accel, gyro, mag = _rows_of_sensors(solution.problem)
     groups = (*rest, accel), (*rest, gyro), (*turn, slice(None)), (*rest, mag), (*link, MAGNETIC_ROWS)
-    falls, counts = zip(*(_falls(*group) for group in groups), strict=True)
-    return list(falls), list(counts)
+    falls, counts = list[Array](), list[Array]()
+    for W, (residual, covariance), root_weight, rows in groups:
+        falls.append(np.zeros(len(W)))
+        counts.append(np.zeros(len(W), dtype=np.int64))
+        if not W[:, rows].size:
+            continue
+        back = np.swapaxes(W, 1, 2)
+        pull, Q = (back @ residual[:, :, None])[:, rows, 0], (back @ covariance @ W)[:, rows, rows]
+        N = np.linalg.inv(back @ W)[:, rows, rows]  # covariance, weights included
+        size = np.sqrt(np.diagonal(N, axis1=1, axis2=2))
+        variance, directions = np.linalg.eigh(Q * size[:, :, None] * size[:, None, :])
+        free = variance > INFORMATIVE_VARIANCE
+        square = ((pull * size)[:, None] @ directions)[:, 0] ** 2
+        falls[-1], counts[-1] = (square / np.where(free, variance, np.inf)).sum(axis=1), free.sum(axis=1)
+        weight = root_weight[:, rows]
+        if len(out := np.flatnonzero(weight.min(axis=1) < 1.0)):
+            valid = variance[out] > ROUNDING_VARIANCE * variance[out].max(axis=1, keepdims=True)
+            spread, along = 1.0 / np.where(valid, variance[out], 1.0), directions[out] * valid[:, None]
+            added = N[out] / size[out][:, :, None] / size[out][:, None, :]
+            added *= 1.0 - weight[out][:, :, None] * weight[out][:, None, :]
+            difference = spread * ((pull[out] * size[out])[:, None] @ along)[:, 0]
+            by_others = spread[:, :, None] * np.eye(spread.shape[1]) - np.swapaxes(along, 1, 2) @ added @ along
+            falls[-1][out] = (difference * np.linalg.solve(by_others, difference[:, :, None])[:, :, 0]).sum(axis=1)
+            counts[-1][out] = valid.sum(axis=1)
+    return falls, counts
 
 
 def _rows_of_sensors(problem: Problem) -> tuple[slice, slice, slice]:
@@ -62,33 +84,6 @@ def _rows_of_sensors(problem: Problem) -> tuple[slice, slice, slice]:
     n = problem.observations.accel_block.size
     last = n + problem.observations.rests.gyro.shape[1] + 3 * (problem.prior.attitude is not None)
     return slice(n), slice(n, n + problem.observations.rests.gyro.shape[1]), slice(last, None)
-
-
-def _falls(W: Array, after: tuple[Array, Array], kept: Array, rows: slice) -> tuple[Array, Array]:
-    """Return falls of chi-square and degrees of freedom (N,) of some rows.
-
-    W (N, r, r) is the whitening, `after` are the whitened residuals with their covariances, and `kept` (N, r) the
-    square roots of weights."""
-    if not W[:, rows].size:
-        return np.zeros(len(W)), np.zeros(len(W), dtype=np.int64)
-    back = np.swapaxes(W, 1, 2)
-    pull, Q = (back @ after[0][:, :, None])[:, rows, 0], (back @ after[1] @ W)[:, rows, rows]
-    noise = np.linalg.inv(back @ W)[:, rows, rows]  # covariance, weights included
-    size = np.sqrt(np.diagonal(noise, axis1=1, axis2=2))
-    variance, directions = np.linalg.eigh(Q * size[:, :, None] * size[:, None, :])
-    free = variance > INFORMATIVE_VARIANCE
-    square = ((pull * size)[:, None] @ directions)[:, 0] ** 2
-    fall, count, weight = (square / np.where(free, variance, np.inf)).sum(axis=1), free.sum(axis=1), kept[:, rows]
-    if len(out := np.flatnonzero(weight.min(axis=1) < 1.0)):
-        valid = variance[out] > ROUNDING_VARIANCE * variance[out].max(axis=1, keepdims=True)
-        spread, along = 1.0 / np.where(valid, variance[out], 1.0), directions[out] * valid[:, None]
-        added = noise[out] / size[out][:, :, None] / size[out][:, None, :]
-        added *= 1.0 - weight[out][:, :, None] * weight[out][:, None, :]
-        difference = spread * ((pull[out] * size[out])[:, None] @ along)[:, 0]
-        covariance = spread[:, :, None] * np.eye(spread.shape[1]) - np.swapaxes(along, 1, 2) @ added @ along
-        fall[out] = (difference * np.linalg.solve(covariance, difference[:, :, None])[:, :, 0]).sum(axis=1)
-        count[out] = valid.sum(axis=1)
-    return fall, count
 
 
 def student_weights(falls: Falls) -> list[Array]:
@@ -120,7 +115,7 @@ def sigmas(solution: Solution) -> tuple[Array, Array, Array, Array, Array]:
     The probability is that of Fisher's F, because the scale is estimated from all others."""
     falls, fits, distances = chi_square_falls(solution), chi_squares(solution), list[Array]()
     omitted_parts = left_out(solution.problem, solution.linearisation.noise)
-    names = *GROUPS[:3], MAGNETOMETER, MAGNETOMETER
+    names = *list(GROUPS)[:3], MAGNETOMETER, MAGNETOMETER
     for fall, count, omitted, name in zip(*falls, omitted_parts, names, strict=True):
         degrees = fits[name].degrees if name in fits else 0.0
         k = np.maximum(count, 1)
@@ -139,18 +134,18 @@ def chi_squares(solution: Solution) -> dict[str, Fit]:
     v, columns = 6 if problem.instrument.in_velocities else 3, np.arange(turn[0].shape[1])
     accel, gyro, mag = (np.arange(rest[0].shape[1])[rows] for rows in _rows_of_sensors(problem))
 
-    def fit(component: str, unit: str, *parts: tuple[tuple[Array, Array], Any]) -> Fit:
+    def fit(component: str, *parts: tuple[tuple[Array, Array], Any]) -> Fit:
         return Fit(
             chi_square=sum(float((residual[:, rows] ** 2).sum()) for (residual, _), rows in parts),
             degrees=sum(float(np.diagonal(C, axis1=1, axis2=2)[:, rows].sum()) for (_, C), rows in parts),
             scatter=float(getattr(solution.components, component)),
-            unit=unit,
+            unit=SCATTER_WORDS[component][0],
         )
 
     rows = (rest, accel), (rest, gyro), (turn, np.r_[columns[:3], columns[v:]]), (turn, columns[3:v])
     count = 1 if problem.observations.gyro_block is None else 4 if problem.instrument.in_velocities else 3
-    groups = zip(GROUPS[:count], SCATTER_NAMES, SCATTER_UNITS, rows, strict=False)
-    out = {name: fit(component, unit, part) for name, component, unit, part in groups}
+    groups = list(zip(GROUPS.items(), rows, strict=True))[:count]
+    out = {name: fit(component, part) for (name, component), part in groups}
     if problem.magnetometer is not None:
-        out[MAGNETOMETER] = fit("mag", "", (rest, mag), (link, np.arange(link[0].shape[1])[MAGNETIC_ROWS]))
+        out[MAGNETOMETER] = fit("mag", (rest, mag), (link, np.arange(link[0].shape[1])[MAGNETIC_ROWS]))
     return out

@@ -73,7 +73,6 @@ from tumble.inference.linearisation import Linearisation
 from tumble.inference.maximum import Maximum
 from tumble.inference.noise import NoiseModel
 from tumble.inference.normal_equations import (
-    Solution,
     eliminate_rests,
     fold_sessions,
     inverse_of,
@@ -154,7 +153,7 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
     Parameters
     ----------
     fitted
-        The joint maximum.
+        The maximum of ℓ(φ).
     integrate
         False for the posterior given the hyperparameters of the maximum.
     by_source
@@ -162,24 +161,41 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
     """
     proposal = Proposal.about(fitted) if integrate and len(fitted.solution.parameters) <= MOST_PARAMETERS else None
     if proposal is None or not (len(proposal.outer) or len(proposal.inner)):
-        return _at_maximum(fitted, contributions(fitted.solution) if by_source else {})
+        solution, biases = fitted.solution, 1 + fitted.problem.biases
+        root = solution.roots[0, len(fitted.problem.usual_local_u) :][biases]
+        return Posterior(
+            step=solution.session_step,
+            covariance=solution.session_covariance,
+            sources=contributions(solution) if by_source else {},
+            degrees=np.full(len(solution.parameters) - 1, MOST_DEGREES),
+            process_step=solution.parameters[biases],
+            process_covariance=root @ root.T,
+            integral=Integral(points=1, effective=1.0, pareto=0.0),
+            hyperparameters=_summary(fitted, fitted.phi[None], np.ones(1)),
+        )
     count = max((1 if len(proposal.inner) else 2) * FIRST_POINTS // 2, len(proposal.outer) + SPARE_POINTS)
-    for draws in zip(*(_rounds(fitted, proposal, count, sequence) for sequence in (0, 1)), strict=True):
-        both, error = Draws.joined(draws), _sampling_error(*draws)
-        if len(draws[0].phi) == count:
-            enough = min(sequence.effective for sequence in draws) > FIRST_EFFECTIVE
+    for first, second in zip(*(_rounds(fitted, proposal, count, sequence) for sequence in (0, 1)), strict=True):
+        both, u = Draws.joined((first, second)), np.maximum(first.u + second.u, 1e-300)
+        error = float(np.max(np.maximum(np.abs(first.u - second.u), np.abs(first.mean - second.mean)) / u))
+        if len(first.phi) == count:
+            enough = min(first.effective, second.effective) > FIRST_EFFECTIVE
         else:
             enough = both.effective > ROUNDS_EFFECTIVE and both.smoothed_weights[1] < LARGEST_SHAPE
         if enough and error < LARGEST_ERROR:
             break
+    phi, weight = both.phi.reshape(-1, len(fitted.phi)), both.weight.ravel()
+    typical = weight @ phi  # root-mean-square standard deviations and geometric-mean times
+    for i, h in enumerate(fitted.hyperparameters):
+        if not isinstance(h, CorrelationTime):
+            typical[i] = 0.5 * np.log(weight @ h.value(phi[:, i]) ** 2)
+    solution = solution_at(fitted.linearisation, fitted.hyperparameters, typical)
     mean, within, between = both.moments()
-    sources = scaled_to(contributions(_typical_solution(fitted, both)), within) | {"hyperparameters": between}
+    sources = scaled_to(contributions(solution), within) | {"hyperparameters": between}
     covariance = np.sum(list(sources.values()), axis=0)
     means, deviations, share = both.mixture()
     factor = coverage_factors(means - mean, deviations, share, np.sqrt(np.diag(covariance)))
     shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
     process_mean, process_within, process_between = both.moments(process=True)
-    weight, shape = both.smoothed_weights
     return Posterior(
         step=mean,
         covariance=covariance * np.outer(shorter, shorter),
@@ -187,23 +203,10 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
         degrees=degrees_of(factor[1:]),
         process_step=process_mean,
         process_covariance=process_within + process_between,
-        integral=Integral(points=len(weight), effective=both.effective, pareto=shape, u_error=error),
-        hyperparameters=_summary(fitted, both.phi.reshape(both.weight.size, -1), both.weight.ravel()),
-    )
-
-
-def _at_maximum(fitted: Maximum, sources: Mapping[str, Array]) -> Posterior:
-    solution, biases = fitted.solution, 1 + fitted.problem.biases
-    root = solution.roots[0, len(fitted.problem.usual_local_u) :][biases]
-    return Posterior(
-        step=solution.session_step,
-        covariance=solution.session_covariance,
-        sources=sources,
-        degrees=np.full(len(solution.parameters) - 1, MOST_DEGREES),
-        process_step=solution.parameters[biases],
-        process_covariance=root @ root.T,
-        integral=Integral(points=1, effective=1.0, pareto=0.0),
-        hyperparameters=_summary(fitted, fitted.phi[None], np.ones(1)),
+        integral=Integral(
+            points=len(both.phi), effective=both.effective, pareto=both.smoothed_weights[1], u_error=error
+        ),
+        hyperparameters=_summary(fitted, phi, weight),
     )
 
 
@@ -709,12 +712,6 @@ def _draw(fitted: Maximum, proposal: Proposal, normal: Array, sequence: int) -> 
     )
 
 
-def _sampling_error(first: Draws, second: Draws) -> float:
-    """Return half the largest difference of two sets of draws in a u, relative, or in a value, divided by u."""
-    difference = np.maximum(np.abs(first.u - second.u), np.abs(first.mean - second.mean))
-    return float(np.max(difference / np.maximum(first.u + second.u, 1e-300)))
-
-
 def _rounds(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> Iterator[Draws]:
     """Yield all draws of one sequence after each round: `count` points of the copula, then by GROWTH per round."""
     D = len(proposal.outer)
@@ -731,7 +728,12 @@ def _rounds(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> I
         from_copula = -0.5 * (normal**2).sum(axis=1) - scipy.special.logsumexp(mixture, axis=0)
         joined = replace(joined, log_weight=joined.log_weight + from_copula[:, None])
         yield joined
-        weight = _tempered(scipy.special.logsumexp(joined.log_weight, axis=1), min(2.0 * D, TEMPERED * len(normal)))
+        # w^β with the largest β ≤ 1 of a geometric sequence at which enough points are effective
+        tempered, least = scipy.special.logsumexp(joined.log_weight, axis=1), min(2.0 * D, TEMPERED * len(normal))
+        tempered -= tempered.max()
+        while np.exp(tempered).sum() ** 2 < least * np.exp(2.0 * tempered).sum():
+            tempered *= 0.85
+        weight = scipy.special.softmax(tempered)
         mean = weight @ normal
         covariance = ((normal - mean).T * weight) @ (normal - mean)
         diagonal = (1.0 - SHRINKAGE) * covariance.diagonal() + ADDED_VARIANCE
@@ -744,26 +746,6 @@ def _log_normal(points: Array, mean: Array, root: Array) -> Array:
     """Return ln N(points; mean, root rootᵀ) (K,) at points (K, D), up to a constant."""
     z = scipy.linalg.solve_triangular(root, (points - mean).T, lower=True)
     return np.asarray(-0.5 * (z**2).sum(axis=0) - np.log(root.diagonal()).sum())
-
-
-def _tempered(log_weight: Array, least: float) -> Array:
-    """Return weights w^β (K,) with the largest β ≤ 1 of a geometric sequence at which `least` points are effective."""
-    tempered = log_weight - log_weight.max()
-    while np.exp(tempered).sum() ** 2 < least * np.exp(2.0 * tempered).sum():
-        tempered = 0.85 * tempered
-    return np.asarray(scipy.special.softmax(tempered))
-
-
-def _typical_solution(fitted: Maximum, draws: Draws) -> Solution:
-    """Return the solution at root-mean-square standard deviations and geometric-mean times of the draws."""
-    typical = fitted.phi.copy()
-    for i, h in enumerate(fitted.hyperparameters):
-        phi = draws.phi[..., i]
-        if isinstance(h, CorrelationTime):
-            typical[i] = (draws.weight * phi).sum()
-        else:
-            typical[i] = 0.5 * np.log((draws.weight * h.value(phi) ** 2).sum())
-    return solution_at(fitted.linearisation, fitted.hyperparameters, typical)
 
 
 # -------------------- points and weights --------------------

@@ -96,7 +96,9 @@ class IntegratedTurns:
         in each turn."""
         accel, gyro, K = instrument.accel, instrument.gyro, instrument.all_coefficients(values).copy()
         assert gyro is not None
-        K[: accel.size], K[accel.size :, PRODUCTS] = _compensable(accel, K[: accel.size]), 0.0
+        square = _square(accel, K[: accel.size])[:, None]  # of products, compensation has squares along the axes only
+        K[: accel.size, PRODUCTS] = np.where(_FIRST == _SECOND, 1.0, 2.0) * square * _products(accel)
+        K[: accel.size, RATE], K[accel.size :, PRODUCTS] = 0.0, 0.0
         late, axes = instrument.delay(values), own_axes(instrument)
 
         def compensation(K: Array) -> Compensation:
@@ -199,10 +201,10 @@ class IntegratedTurns:
         `model` is K and ∂K/∂θ there. Columns between those of the m parameters and the last are zero."""
         (K, D), m = model, len(values)
         out = np.zeros((len(self.paths), 6, width + 1))
-        out[:, :, :m] = _times(self.paths, D)
+        out[:, :, :m] = along_paths(self.paths, D)
         change = K - self.coefficients
         if change.ndim == 2:
-            out[:, :, -1] = -_times(self.paths, change[..., None])[:, :, 0]
+            out[:, :, -1] = -along_paths(self.paths, change[..., None])[:, :, 0]
         else:
             out[:, :, -1] = -np.einsum("kipb,kpb->ki", self.paths, change)
         out[:, 3:, -1] += self.moments.V
@@ -221,11 +223,6 @@ class IntegratedTurns:
         if moments.body_gyro.shape[-1]:
             out[..., OWN_SIZE], out[..., OWN_CUBE] = moments.body_gyro[:, 0], moments.body_gyro[:, 1]
         return out
-
-    def growing_columns(self, D: Array) -> Array | None:
-        """Return −∂φ/∂θ above −∂V/∂θ (K, 6, m) of parameters, with D = ∂K/∂θ, that grow by 1 per second about the
-        middle of the turns."""
-        return None if self.growing is None else _times(self.growing, D)
 
     @cached_property
     def _lengths(self) -> Array:
@@ -293,7 +290,7 @@ def _turn_only_columns(
     }
 
 
-def _times(paths: Array, D: Array) -> Array:
+def along_paths(paths: Array, D: Array) -> Array:
     """Return Σ paths · D (K, 6, m) over sensors and functions, with D (n, 15, m)."""
     K, size = len(paths), D.shape[0] * D.shape[1]
     return np.asarray(paths.reshape(6 * K, size) @ D.reshape(size, D.shape[2])).reshape(K, 6, D.shape[2])
@@ -330,14 +327,6 @@ def _square(block: Block, K: Array) -> Array:
 def _products(block: Block) -> Array:
     """Return the products (n, 6) of the components of the axes, in the order of PAIRS."""
     return np.asarray(block.axes[:, _FIRST] * block.axes[:, _SECOND])
-
-
-def _compensable(block: Block, K: Array) -> Array:
-    """Return the coefficients for compensation of samples: products of forces are reduced to squares along the axes."""
-    out, square = K.copy(), _square(block, K)
-    out[:, PRODUCTS] = np.where(_FIRST == _SECOND, 1.0, 2.0) * square[:, None] * _products(block)
-    out[:, RATE] = 0.0
-    return out
 
 
 def _paths(

@@ -2,9 +2,10 @@
 
 The parameters of the instrument, the attitudes of all rests, in-run biases and local gravity are estimated together
 from the rest means of accelerometers and gyros, the rotations and velocities of the turns, the Earth's rate and the
-measured gravity (`tumble.inference.problem`). The joint maximum with the hyperparameters (`tumble.inference.maximum`)
-is found first, and the posterior is integrated over the hyperparameters (`tumble.inference.integral`); values and u are
-those of the posterior. Table angles are not used. The estimate reaches the Cramér–Rao bound.
+measured gravity (`tumble.inference.problem`). First the hyperparameters φ are found that maximise their posterior ℓ(φ),
+all other unknowns integrated out (`tumble.inference.maximum`). Then the posterior of the parameters is integrated over
+φ (`tumble.inference.integral`); values and u are those of this posterior. Table angles are not used. The estimate
+reaches the Cramér–Rao bound.
 
 A parameter of the linear model, or a combination of them, is determined if its u is DETERMINED times smaller than its
 limit.
@@ -121,6 +122,19 @@ def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], 
     for finding in findings:
         observable[instrument.members[finding.name]] = finding.kept
     accel = problem.accel_model(values)
+    readings = at_reference(linearisation) if "temperature" in problem.variables else observations.rests.accel
+    force = specific_force(instrument, values, readings)
+    variance, combinations = np.linalg.eigh(reducible / np.outer(spread, spread))
+    of_sessions = None
+    if (local := problem.local) is not None:
+        local_variance = np.diagonal(best.session_covariances, axis1=1, axis2=2)[:, : len(problem.local_u)]
+        of_sessions = OwnEstimate(
+            names=local.names[local.linear_count :],
+            units=local.units[local.linear_count :],
+            values=fitted.point.local,
+            u=np.sqrt(local_variance),
+            priors=problem.local_u,
+        )
     return Estimate(
         method="joint",
         names=instrument.names,
@@ -128,10 +142,10 @@ def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], 
         values=values,
         covariance=covariance,
         observable=observable,
-        null=_undetermined(reducible / np.outer(spread, spread)),
+        null=combinations[:, variance > DETERMINED**-2].T,
         accel=accel,
         gyro=None if observations.gyro_block is None else problem.gyro_model(values),
-        rest_residual=np.linalg.norm(_force(fitted, values), axis=1) - observations.site.gravity,
+        rest_residual=np.linalg.norm(force, axis=1) - observations.site.gravity,
         rest_sigmas=np.maximum(accel_sigmas, gyro_sigmas),
         gyro_rest_sigmas=gyro_sigmas,
         turn_sigmas=turn_sigmas,
@@ -149,7 +163,7 @@ def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], 
             rate=usual_rate(fitted.linearisation.about),
         ),
         linearised=linearisation.with_priors(problem).with_components(fitted.components),
-        own=_local(fitted),
+        own=of_sessions,
         hyperparameters=tuple(_hyperparameters(fitted, found)),
         integral=found.integral,
         process_bias=tuple(_process_bias(fitted, found, common_covariance)),
@@ -206,44 +220,12 @@ def _process_bias(fitted: Maximum, found: Posterior, common: Array) -> Iterator[
         yield ProcessBias(name=problem.instrument.names[i], value=value, u=float(u), next_u=float(next_u))
 
 
-def _undetermined(covariance: Array) -> Array:
-    """Return the combinations (q, n) of parameters that are not determined, from their covariance in units of
-    spreads."""
-    if np.trace(covariance) <= DETERMINED**-2:  # no eigenvalue exceeds the trace
-        return np.zeros((0, len(covariance)))
-    variance, combinations = np.linalg.eigh(covariance)
-    return np.asarray(combinations[:, variance > DETERMINED**-2].T)
-
-
 def usual_rate(about: IntegratedTurns | None) -> float | None:
     """Return the root mean square rate of the turns, rad/s; None without turns."""
     if about is None or not len(about.moments):
         return None
     moments = about.moments
     return float(np.sqrt(moments.body_rates[:, [0, 3, 5]].sum() / moments.T.sum()))
-
-
-def _force(fitted: Maximum, values: Array) -> Array:
-    """Return the specific forces (N, 3) at rest by the complete model with these parameters."""
-    problem = fitted.problem
-    accel = problem.observations.rests.accel
-    if "temperature" in problem.variables:
-        accel = at_reference(fitted.linearisation)
-    return specific_force(problem.instrument, values, accel)
-
-
-def _local(fitted: Maximum) -> OwnEstimate | None:
-    local, q = fitted.problem.local, len(fitted.problem.local_u)
-    if local is None:
-        return None
-    variance = np.diagonal(fitted.solution.session_covariances, axis1=1, axis2=2)[:, :q]
-    return OwnEstimate(
-        names=local.names[local.linear_count :],
-        units=local.units[local.linear_count :],
-        values=fitted.point.local,
-        u=np.sqrt(variance),
-        priors=fitted.problem.local_u,
-    )
 
 
 def _findings(fitted: Maximum, by_lag: Array) -> Iterator[GroupFinding]:

@@ -56,7 +56,7 @@ LAG_ROUNDS = 3  # largest number of times the lags held are changed
 
 
 def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, Array]:
-    """Find the joint maximum, with lags held at their means if there are any.
+    """Find the maximum of ℓ(φ), with lags held at their means if there are any.
 
     Parameters
     ----------

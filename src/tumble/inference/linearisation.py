@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tumble.inference.elimination import fold
-from tumble.inference.integrated_turns import IntegratedTurns
+from tumble.inference.integrated_turns import IntegratedTurns, along_paths
 from tumble.inference.magnetometer import OWN as MAGNETIC
 from tumble.inference.magnetometer import Magnetometer
 from tumble.inference.noise import LINK_SCATTER, NO_COMPONENTS, SCATTER, NoiseModel, VarianceComponents
@@ -329,7 +329,7 @@ def _turn_rows(
     turns, instrument, g = problem.observations.turns, problem.instrument, point.gravity
     assert turns is not None
     columns = about.rows(instrument, point.values, model, problem.width)
-    G = about.growing_columns(model[1])
+    G = None if about.growing is None else along_paths(about.growing, model[1])
     _add_changes(problem, point, columns, 0, 1, G)
     (spare, free), t = _spare_rows(problem, point, about, model), 6 if instrument.in_velocities else 3
     rows = np.zeros((len(turns), problem.rows_of_turn, 8 + problem.width))

@@ -98,25 +98,18 @@ class MagnetometerEstimate:
     refused: str = ""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Readings:
-    """Readings (K, 3) of a magnetometer in its unit, rests before nodes, with the station (K,) of each."""
-
-    values: Array
-    station: IntArray
-
-    @staticmethod
-    def of(problem: Problem) -> Readings | None:
-        """Return the readings of a session; None without a magnetometer."""
-        rests, links = problem.observations.rests, problem.observations.links
-        values, station = list[Array](), list[IntArray]()
-        if rests.magnetometer is not None:
-            values.append(rests.magnetometer)
-            station.append(problem.station)
-        if links is not None and links.magnetometer is not None:
-            values.append(links.magnetometer[links.magnetic])
-            station.append(links.before[links.magnetic])
-        return Readings(values=np.concatenate(values), station=np.concatenate(station)) if values else None
+def magnetic_readings(problem: Problem) -> tuple[Array, IntArray] | None:
+    """Return the readings (K, 3) of a magnetometer in its unit, rests before nodes, with the station (K,) of each; None
+    without a magnetometer."""
+    rests, links = problem.observations.rests, problem.observations.links
+    values, station = list[Array](), list[IntArray]()
+    if rests.magnetometer is not None:
+        values.append(rests.magnetometer)
+        station.append(problem.station)
+    if links is not None and links.magnetometer is not None:
+        values.append(links.magnetometer[links.magnetic])
+        station.append(links.before[links.magnetic])
+    return (np.concatenate(values), np.concatenate(station)) if values else None
 
 
 def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
@@ -124,25 +117,26 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
 
     Returns the linearisation and "", or the same linearisation and the reason why its readings cannot be used."""
     problem, about = start.problem, start.about
-    readings = Readings.of(problem)
-    if readings is None:
+    found = magnetic_readings(problem)
+    if found is None:
         return start, ""
+    readings, station = found
     begun = start
     for _ in range(FIRST_STEPS):
         point, _ = take_step(solve(begun))
         about = reintegrated_turns(problem, point, about)
         begun = linearise(problem, point, about)
-    point, station = begun.point, readings.station
+    point = begun.point
     attitudes = point.attitudes[station]
-    found = by_attitudes(readings.values, attitudes, problem.chain[station])
-    if found is None or np.mean(~found[2]) > MOST_DISTURBED:  # perhaps by a spoilt turn, which the joint fit finds
-        found = by_ellipsoid(readings.values, attitudes[:, 1]) or found
-    if found is None:
+    fit = by_attitudes(readings, attitudes, problem.chain[station])
+    if fit is None or np.mean(~fit[2]) > MOST_DISTURBED:  # perhaps by a spoilt turn, which the joint fit finds
+        fit = by_ellipsoid(readings, attitudes[:, 1]) or fit
+    if fit is None:
         return start, (
-            f"its {len(readings.values)} readings lie on no one ellipsoid: the attitudes are too few or too much "
+            f"its {len(readings)} readings lie on no one ellipsoid: the attitudes are too few or too much "
             "alike, or a channel does not follow the field; record away from steel in more attitudes"
         )
-    unit, sine, kept = found
+    unit, sine, kept = fit
     site = problem.observations.site
     field, latitude = site.field or float(np.cbrt(abs(np.linalg.det(unit.matrix)))), site.latitude or 0.0
     S = unit.matrix / field
@@ -150,13 +144,14 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
         S, sine = -S, -sine
     magnetometer = Magnetometer(block=block_near(S), field=field, dip=float(-np.arcsin(sine)))
     model = SensorModel(matrix=S, bias=unit.bias)
-    level = (attitudes[kept] @ unit_vector(model.apply(readings.values[kept]))[:, :, None])[:, :, 0]
+    level = (attitudes[kept] @ unit_vector(model.apply(readings[kept]))[:, :, None])[:, :, 0]
     chain, towards = problem.chain, level[:, 0] + 1j * level[:, 2]
     north, east = (np.bincount(chain[station[kept]], part, chain[-1] + 1) for part in (towards.real, towards.imag))
     turned = rotation_matrix(np.arctan2(east, north)[chain][:, None] * UP) @ point.attitudes
     unknowns = np.concatenate([magnetometer.block.parameters(model), np.zeros(len(magnetometer.u) - DIP)])
     local = np.concatenate([np.broadcast_to(unknowns, (len(point.local), len(unknowns))), point.local], axis=1)
-    problem = problem.with_magnetometer(magnetometer)
+    u = np.concatenate([magnetometer.u, problem.local_u])
+    problem = replace(problem, magnetometer=magnetometer, local_u=u, usual_local_u=u)
     begun = linearise(problem, replace(point, attitudes=turned, local=local), about)
     N, links, of_reading = len(problem.station), problem.observations.links, np.where(kept, 1.0, OUTLIER_WEIGHTS[-1])
     weights = [np.ones(n) for n in (N, N, len(problem.before_turn), N, len(problem.before_link))]
@@ -270,15 +265,16 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
     Parameters
     ----------
     fitted
-        The joint maximum.
+        The maximum of ℓ(φ).
     step : (1 + m,)
         Posterior step of gravity and the parameters from the last linearisation.
     """
     problem, solution, links = fitted.problem, fitted.solution, fitted.problem.observations.links
-    magnetometer, readings = problem.magnetometer, Readings.of(problem)
-    if magnetometer is None or readings is None:
+    magnetometer, found = problem.magnetometer, magnetic_readings(problem)
+    if magnetometer is None or found is None:
         return None
-    covariance, across = solution.session_covariance[1:, 1:], solution.session_covariance_with(slice(DIP))[:, 1:]
+    readings, station = found
+    covariance, across = solution.session_covariance[1:, 1:], solution.roots[0, :DIP] @ solution.session_root[1:].T
     u = np.sqrt(covariance.diagonal())
     by_parameters = np.linalg.solve(covariance / np.outer(u, u), (across / u).T).T / u
     unknowns = fitted.point.local[0, : len(magnetometer.u)].copy()
@@ -287,7 +283,7 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
     *_, omitted, omitted_nodes = left_out(problem, fitted.linearisation.noise)
     magnetic = np.zeros(0, dtype=bool) if links is None else links.magnetic
     rests = problem.observations.rests
-    time = 0.5 * (rests.start + rests.stop) if links is None else links.time[readings.station]
+    time = 0.5 * (rests.start + rests.stop) if links is None else links.time[station]
     marginal, fit = solution.session_covariances[0, :DIP, :DIP], chi_squares(solution)[MAGNETOMETER]
     undetermined = np.sqrt(marginal.diagonal()) > magnetometer.u[:DIP] / DETERMINED
     names = np.array(magnetometer.block.names)[undetermined].tolist()
@@ -297,8 +293,8 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
             f"the readings scatter by {fit.scatter:.3g}, more than {100 * SCATTER_LIMIT:g} % of the field: the field "
             "is not the same in all of them; record away from steel"
         )
-    outliers, station = np.concatenate([omitted, omitted_nodes[magnetic]]), readings.station
-    agreeing = by_attitudes(readings.values, fitted.point.attitudes[station], problem.chain[station])
+    outliers = np.concatenate([omitted, omitted_nodes[magnetic]])
+    agreeing = by_attitudes(readings, fitted.point.attitudes[station], problem.chain[station])
     disturbed = max(outliers.sum(), 0 if agreeing is None else np.sum(~agreeing[2]))
     if disturbed > MOST_DISTURBED * len(outliers):
         refused = (
@@ -316,7 +312,7 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
         fit=fit,
         left_out=outliers,
         sigmas=np.concatenate([mag, at_nodes[magnetic]]),
-        off=np.linalg.norm(model.apply(readings.values), axis=1) - magnetometer.field,
+        off=np.linalg.norm(model.apply(readings), axis=1) - magnetometer.field,
         time=time,
         refused=refused,
     )

@@ -46,13 +46,6 @@ class Magnetometer:
         """Return sensitivity and bias at unknowns (OWN,)."""
         return self.block.model(unknowns[:DIP])
 
-    def north_up_east(self, unknowns: Array) -> tuple[Array, Array]:
-        """Return the field (3,), and its derivatives (3, 2) by dip and declination."""
-        dip, declination = self.dip + unknowns[DIP], unknowns[DECLINATION]
-        (s, c), (t, d) = ((np.sin(x), np.cos(x)) for x in (dip, declination))
-        field = np.array([c * d, -s, c * t])
-        return self.field * field, self.field * np.array([[-s * d, -c * t], [-c, 0.0], [-s * t, c * d]])
-
     def rows(self, unknowns: Array, attitudes: Array, basis: Array, rates: Array) -> tuple[Array, Array, Array]:
         """Return expected readings (K, 3), and derivatives by angles (K, 3, 3) and by the unknowns (K, 3, OWN).
 
@@ -66,7 +59,10 @@ class Magnetometer:
             Rates of the body, rad/s.
         """
         model, jacobian = self.block.linearised(unknowns[:DIP])
-        S, (field, by_direction) = model[:, :3], self.north_up_east(unknowns)
+        S, angles = model[:, :3], np.array([self.dip + unknowns[DIP], unknowns[DECLINATION]])
+        (s, t), (c, d) = np.sin(angles), np.cos(angles)
+        field = self.field * np.array([c * d, -s, c * t])  # h
+        by_direction = self.field * np.array([[-s * d, -c * t], [-c, 0.0], [-s * t, c * d]])  # by dip and declination
         v, late = field @ attitudes, rotation_matrix(unknowns[DELAY] * rates)
         delayed = (late @ v[:, :, None])[:, :, 0]
         by_unknowns = np.empty((len(v), 3, OWN))

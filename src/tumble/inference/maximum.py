@@ -2,11 +2,12 @@
 
 x are gravity, the parameters, those of each session, the attitudes and the states of the in-run biases: the problem is
 linear, or nearly so, in x given φ (`tumble.inference.hyperparameters`). The function to maximise is the logarithm of
-the posterior of φ with x integrated out, r being the residuals at x̂(φ),
+the posterior of φ with x integrated out,
 
     ℓ(φ) = ln p(φ) − ½ [rᵀV⁻¹r + x̂ᵀP₀x̂ + ln |V| − ln |P₀| + 2 Σ ln |diag R|]
 
-docs/explanation/mathematics.md (23), (28) and (29).
+where r are the residuals at x̂(φ), V is the covariance of all rows, P₀ the precision of the priors (x̂ counts from
+their means) and R stands for all triangles of the elimination; docs/explanation/mathematics.md (23), (28) and (29).
 
     x   Gauss–Newton: x ← x + argmin of the residuals linearised at x. Turns are integrated again about the current
         parameters wherever the second-order effect of the change since the last integration matters.
@@ -16,7 +17,7 @@ docs/explanation/mathematics.md (23), (28) and (29).
         λ = exp(max(p, 0)) keep p ≥ 0, because the data do not depend on p below.
 
 The iteration ends when a step of x is negligible relative to u (CONVERGED) and ½ γᵀB⁻¹γ, the expected gain of ℓ, is
-below GAIN per element of φ (`Status.converged`), or when it runs out of steps, which is no result.
+below GAIN per element of φ (`Maximum.converged`), or when it runs out of steps, which is no result.
 
 The mean heading of a chain of turns that the gyros hardly observe (worse than UNSEEN) is not changed. It stays an
 unknown of every step, so that it takes no information from the parameters. The same holds for the gravity of an unknown
@@ -26,7 +27,6 @@ place.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import Enum
 
 import numpy as np
 import scipy
@@ -84,13 +84,6 @@ WIDE = 3.0  # prior standard deviations of p from which sizes of groups start
 ANEW = 3.0  # s: correlation time of biases that change at every rest
 
 
-class Status(Enum):
-    """Why the iteration ended."""
-
-    converged = "x and φ settled"
-    ran_out = "the steps ran out before x and φ settled"
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Maximum:
     """Joint maximum of ℓ, or where the iteration ran out.
@@ -109,8 +102,8 @@ class Maximum:
         B, minus the second derivative of ℓ.
     increments
         Step of the parameters (m,) in each iteration.
-    status
-        Why the iteration ended.
+    converged
+        True if x and φ have settled, False if the steps ran out before.
     """
 
     linearisation: Linearisation
@@ -119,7 +112,7 @@ class Maximum:
     point: Point
     curvature: Array
     increments: tuple[Array, ...]
-    status: Status
+    converged: bool
 
     @property
     def usual_problem(self) -> Problem:
@@ -135,11 +128,6 @@ class Maximum:
     def phi(self) -> Array:
         """Hyperparameters (D,) at the maximum."""
         return self.solution.phi
-
-    @property
-    def converged(self) -> bool:
-        """True unless the iteration ran out of steps."""
-        return self.status is Status.converged
 
     @property
     def components(self) -> VarianceComponents:
@@ -209,7 +197,7 @@ def maximise(
                 point=point,
                 curvature=average_information(hyperparameters, solution) if B is None else B,
                 increments=tuple(increments),
-                status=Status.converged if settled else Status.ran_out,
+                converged=settled,
             )
         linearisation = linearise(problem, point, about)
         linearisation = replace(linearisation, noise=linearisation.noise.weighted(*weights))
@@ -236,10 +224,10 @@ def maximise_phi(
     settled
         True if the expected gain of ℓ is below GAIN per element.
     """
-    exact, linearisation, bounded = B is None, solution.linearisation, hyperparameters.bounded
+    linearisation, bounded, average = solution.linearisation, hyperparameters.bounded, None
     gradient, enough = score(hyperparameters, solution), GAIN * max(1, len(hyperparameters))
     if B is None:
-        B = average_information(hyperparameters, solution)
+        B = average = average_information(hyperparameters, solution)
     for _ in range(STEPS):
         free = np.flatnonzero(~(bounded & (solution.phi <= 0.0) & (gradient <= 0.0)))
         step = np.zeros(len(gradient))
@@ -247,10 +235,10 @@ def maximise_phi(
         gain = 0.5 * float(gradient @ step)
         if not np.isfinite(gain):
             raise np.linalg.LinAlgError("a step of the hyperparameters is not finite")
-        if gain < enough and (exact or not negligible(solution)):
+        if gain < enough and (B is average or not negligible(solution)):
             break
         if gain < enough:  # settled by the updated B: confirm with the average information
-            B, exact = average_information(hyperparameters, solution), True
+            B = average = average_information(hyperparameters, solution) if average is None else average
             continue
         step *= min(1.0, radius / float(np.abs(step).max()))
         step = np.where(bounded, np.maximum(solution.phi + step, 0.0), solution.phi + step) - solution.phi
@@ -258,11 +246,11 @@ def maximise_phi(
         tried_gradient = score(hyperparameters, tried)
         expected = float(gradient @ step - 0.5 * step @ B @ step)
         gained = float(tried.log_posterior - solution.log_posterior)
-        B, exact = _bfgs_update(B, step, gradient - tried_gradient), False
+        B = _bfgs_update(B, step, gradient - tried_gradient)
         poor = gained < 0.1 * expected or expected <= 0.0
         radius = 0.3 * float(np.abs(step).max()) if poor else min(2.0 * radius, FURTHEST)
         if gained > 0.0:
-            solution, gradient = tried, tried_gradient
+            solution, gradient, average = tried, tried_gradient, None
     return solution, B, radius, gain < enough
 
 
@@ -278,7 +266,6 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
     if start.problem.observations.turns is None:
         return best
     hyperparameters, starts = best.hyperparameters, list[tuple[float, Array]]()
-    centre = np.array([h.centre for h in hyperparameters])
     sizes = {h.name: float(h.value(p)) for h, p in zip(hyperparameters, best.phi, strict=True)}
     absorbing = [h for h in hyperparameters if not (isinstance(h, CorrelationTime) or h.name in NOT_ABSORBING)]
     far = [h for h in absorbing if sizes[h.name] > BEYOND * h.usual]
@@ -288,7 +275,7 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
         starts.append((share, np.array(useless)))
     groups = np.array([isinstance(h, GroupSize) for h in hyperparameters], dtype=bool)
     if far and groups.any():
-        starts.append((share, np.where(groups, [WIDE * h.within for h in hyperparameters], centre)))
+        starts.append((share, np.where(groups, [WIDE * h.within for h in hyperparameters], hyperparameters.centre)))
     scatters = any(h.name in REST_SCATTER and sizes[h.name] > h.usual for h in hyperparameters)
     if scatters or any(isinstance(h, InRunSize) for h in far):
         anew = best.phi.copy()

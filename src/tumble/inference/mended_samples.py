@@ -28,7 +28,7 @@ from tumble.inference.problem import NO_PRIOR, Problem, instruments_of
 from tumble.inference.start import initial_linearisation
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes
-from tumble.reduction.turns.turns import TurnSamples, linear_compensation
+from tumble.reduction.turns.turns import linear_compensation
 from tumble.rotation import unit_vector
 from tumble.units import Array, BoolArray, IntArray
 
@@ -45,8 +45,13 @@ def with_mended_samples(observations: Observations) -> Observations:
     The same observations are returned if no parameters can be estimated."""
     if observations.turn_samples is None or not len(observations.turn_samples.bad.at):
         return observations
-    suspects = observations.turn_samples.bad
-    impossible = _impossible(observations.turn_samples, suspects)
+    suspects, samples = observations.turn_samples.bad, observations.turn_samples.samples
+    impossible = np.zeros(len(suspects.at), dtype=bool)
+    for i, at in enumerate(suspects.at.tolist()):
+        rates, forces, dt = samples.read(at, at + 1)
+        deviation = np.hstack([rates[0], forces[0]]) - suspects.values[i]
+        angle, velocity = (float(np.abs(part).max() * dt[0]) for part in np.split(deviation, 2))
+        impossible[i] = not (angle <= ANGLE and velocity <= VELOCITY)
     replaced = impossible
     if not impossible.all():
         as_recorded = observations.with_bad_samples(_chosen(suspects, impossible))
@@ -63,17 +68,6 @@ def with_mended_samples(observations: Observations) -> Observations:
     bad, first = _chosen(suspects, replaced), observations.turns.first
     others = [note for note in observations.notes if note not in bad_sample_notes(suspects, first)]
     return replace(observations.with_bad_samples(bad), notes=(*others, *bad_sample_notes(bad, first)))
-
-
-def _impossible(samples: TurnSamples, suspects: BadSamples) -> BoolArray:
-    """Return True for suspects (m,) with an angle above ANGLE or a velocity above VELOCITY in one sample."""
-    out = np.zeros(len(suspects.at), dtype=bool)
-    for i, at in enumerate(suspects.at.tolist()):
-        rates, forces, dt = samples.samples.read(at, at + 1)
-        deviation = np.hstack([rates[0], forces[0]]) - suspects.values[i]
-        angle, velocity = (float(np.abs(part).max() * dt[0]) for part in np.split(deviation, 2))
-        out[i] = not (angle <= ANGLE and velocity <= VELOCITY)
-    return out
 
 
 def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArray, impossible: BoolArray) -> BoolArray:

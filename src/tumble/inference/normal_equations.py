@@ -162,9 +162,9 @@ class Solution:
         return session_mean_bias(self.equations) if self.equations.wanders and len(self.problem.parts) == 1 else None
 
     @cached_property
-    def _session_root(self) -> Array:
-        """Root of the covariance of gravity and the common parameters by shared unknowns, with biases of the
-        session."""
+    def session_root(self) -> Array:
+        """Root (1 + m, q + 1 + m) of the covariance of gravity and the common parameters by shared unknowns, biases
+        being the means over the session."""
         roots = self.roots[..., 0, :, :]
         root = roots[..., len(self.problem.usual_local_u) :, :].copy()
         if self.mean_bias is not None:
@@ -183,17 +183,13 @@ class Solution:
     @property
     def session_covariance(self) -> Array:
         """Covariance of gravity and the common parameters (1 + m, 1 + m), biases being the means over the session."""
-        root, biases = self._session_root, 1 + self.problem.biases
+        root, biases = self.session_root, 1 + self.problem.biases
         covariance = root @ np.swapaxes(root, -1, -2)
         if self.mean_bias is not None:
             _, by_noise = self.mean_bias
             along = np.swapaxes(by_noise, -3, -2).reshape(*covariance.shape[:-2], len(biases), -1)
             covariance[..., biases[:, None], biases] += along @ np.swapaxes(along, -1, -2)
         return np.asarray(covariance)
-
-    def session_covariance_with(self, local: slice) -> Array:
-        """Return the covariance (k, 1 + m) of some session parameters with the unknowns of `session_covariance`."""
-        return np.asarray(self.roots[0, local] @ self._session_root.T)
 
     @cached_property
     def unknowns(self) -> Array:
@@ -287,10 +283,12 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
     joints = joint_rows(linearisation, turn, link) if states else turn
     initial = np.zeros((d, d + width))  # states of the first station have unit variance
     initial[d - states :, d - states : d] = np.eye(states)
-    for at in product(*map(range, stack)):
-        for part, triangle in zip(problem.parts, triangles[at], strict=True):
-            between, links = joints[at][part.stations if states else part.turns], session_links(part, states > 0)
-            eliminate(at_stations[at][part.stations], between, links, factors[at][part.stations], triangle, initial)
+    for s, part in enumerate(problem.parts):
+        stations, links = part.stations, session_links(part, states > 0)
+        between = stations if states else part.turns
+        for at in product(*map(range, stack)):
+            rows = at_stations[at][stations], joints[at][between]
+            eliminate(*rows, links, factors[at][stations], triangles[at][s], initial)
     return NormalEquations(
         noise=noise,
         rest_whitening=whitening[0],
@@ -386,8 +384,12 @@ def add_priors(linearisation: Linearisation, equations: NormalEquations, **at_ph
         root = np.zeros((p, p))
         root[exact:, exact:] = inverse_of(triangle[exact:p, exact:p])
         parameters[at][exact:] = root[exact:, exact:] @ triangle[exact:p, p]
-        for s, head in enumerate(heads):
-            local[at][s], roots[at][s] = _local_solution(head, parameters[at], root)
+        roots[at][:, q:, q:] = root
+        for s, head in enumerate(heads if q else ()):
+            inverse = inverse_of(head[:, :q])
+            by_parameter = -inverse @ head[:, q:-1]
+            local[at][s] = inverse @ head[:, -1] + by_parameter @ parameters[at]
+            roots[at][s, :q, :q], roots[at][s, :q, q:] = inverse, by_parameter @ root
         pivots = [rows.diagonal() for rows in (*heads, triangle[:p])]
         np.concatenate([*pivots, further_u[at], *(S * [local_u[at]])], out=diagonals[at])
         square[at] = triangle[p, p] ** 2
@@ -426,17 +428,6 @@ def with_local_prior(local_u: Array, factor: Array, residual: Array) -> Array:
         prior[:, :q], prior[:, -1] = np.diag(1.0 / local_u), residual
         fold(prior, wide, triangular=True)
     return wide
-
-
-def _local_solution(head: Array, parameters: Array, root: Array) -> tuple[Array, Array]:
-    """Return the parameters (q,) of a session, and a root (q + p, q + p) of their covariance with the common ones."""
-    q = len(head)
-    if q == 0:
-        return np.zeros(0), root
-    inverse, whole = inverse_of(head[:, :q]), np.zeros((q + len(root), q + len(root)))
-    by_parameter = -inverse @ head[:, q:-1]
-    whole[:q, :q], whole[:q, q:], whole[q:, q:] = inverse, by_parameter @ root, root
-    return inverse @ head[:, -1] + by_parameter @ parameters, whole
 
 
 def rests_deviance(equations: NormalEquations) -> Array:

@@ -384,11 +384,6 @@ class Problem:
         members = self.instrument.members
         return {kind: members[f"{kind}.lag"].start for kind in KINDS if f"{kind}.lag" in members}
 
-    def with_magnetometer(self, magnetometer: Magnetometer) -> Problem:
-        """Return the problem with the readings of a magnetometer."""
-        u = np.concatenate([magnetometer.u, self.local_u])
-        return replace(self, magnetometer=magnetometer, local_u=u, usual_local_u=u)
-
     def _changed(self, **fields: Any) -> Problem:
         """Return the problem with other fields, keeping cached properties."""
         out = copy(self)
@@ -414,16 +409,6 @@ class Problem:
             return self
         return self._changed(variables=variables_of(self.observations, lags), at_lags=tuple(lags.values()))
 
-    def regressor(self, variable: Variable, members: slice, place: int) -> Array:
-        """Return the regressor of the parameters `members`, at rest (`place` 0) or in the turns (1).
-
-        (·, k) where each parameter has the temperature of its sensor, (·, 1) where all have the same variable."""
-        values = self.variables[variable][place]
-        if values.shape[1] == 1:
-            return values
-        is_gyro = sensor_kind(self.instrument.names[members.start]) == "gyro"
-        return values[:, self.instrument.thermometers[members] + is_gyro * values.shape[1] // 2]
-
     @cached_property
     def change_columns(self) -> tuple[IntArray, IntArray]:
         """Places (c,) of the parameters that are changes of others, and places (c,) of these others."""
@@ -436,11 +421,13 @@ class Problem:
         """Regressors of the changes at rest (N, c) and in the turns (K, c), and their growth there, 1/s (K, c)."""
 
         def at(place: int) -> Array:
-            rows = len(self.of_session[min(place, 1)])
-            columns = [
-                np.broadcast_to(self.regressor(variable, members, place), (rows, members.stop - members.start))
-                for members, _, variable in self.changes
-            ]
+            rows, columns = len(self.of_session[min(place, 1)]), list[Array]()
+            for members, _, variable in self.changes:
+                values = self.variables[variable][place]
+                if values.shape[1] > 1:  # each parameter has the temperature of its sensor
+                    is_gyro = sensor_kind(self.instrument.names[members.start]) == "gyro"
+                    values = values[:, self.instrument.thermometers[members] + is_gyro * values.shape[1] // 2]
+                columns.append(np.broadcast_to(values, (rows, members.stop - members.start)))
             return np.concatenate([np.zeros((rows, 0)), *columns], axis=1)
 
         return at(0), at(1), at(GROWING)

@@ -154,8 +154,7 @@ def contributions(solution: Solution) -> dict[str, Array]:
         add("prior.linear", K[1 : 1 + instrument.linear_count])
         for name, members in instrument.members.items():
             add(f"prior.{name}", K[1:][members])
-    for array in () if linearisation.about is None else linearisation.about.arrays:
-        add("arrays", array.rows(instrument, linearisation.point.values)[:, :-1] @ common[1:])
+    add("arrays", linearisation.array[:, :-1] @ common)
     return {name: covariance for name, covariance in out.items() if covariance.any()}
 
 

@@ -12,7 +12,6 @@ country = "RU"
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
@@ -22,6 +21,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
+from tumble.advice import found_in
 from tumble.documents import is_plain, shown, text_of_document, toml_of, validated
 from tumble.errors import InputError
 from tumble.lab.limits import Limits, Occasion, read_limits
@@ -63,15 +63,6 @@ _Path = Annotated[_Str, Field(min_length=1)]
 
 _ACCREDITED = ("procedure", "traceability", "issued")
 """Keys required in a certificate under accreditation (ISO/IEC 17025, 7.8)."""
-
-
-_ASIDE = re.compile(r" \([^()]*(?:--|`|\[)[^()]*\)|, (?:and|or) (?=[^;:]*(?:--|`|\[))[^;:]*")
-_ADVICE = re.compile(
-    r".*(?:--|`|\[|tumble | = true)|[;:.] (?:calibrate|check|come|correct|fasten|for others turn|For values|give|hold|"
-    r"is the|leave|let|longer rests|look|make|measure|otherwise|put|record(?! \d)|repeat|rests in|state|switch|take|"
-    r"turn (?:smoothly|at|back)|use|wait|warm (?:it|or)|write)\b"
-)
-"""Clauses with commands, options or keys, and those that tell the operator what to do."""
 
 
 class _CertificateTable(BaseModel):
@@ -183,10 +174,8 @@ class Certificate(_CertificateTable):
 
 
 def for_reader(sentence: str) -> str:
-    """Return a sentence of a calibration without advice to the operator, for the reader of a certificate."""
-    clauses = re.split(r"(?=[;:] |\. [A-Z])", _ASIDE.sub("", sentence))
-    kept = "".join(clause for clause in clauses if not _ADVICE.match(clause)).lstrip(";:. ")
-    return kept.replace("probable cause: ", "what would explain the residuals: ")
+    """Return what a sentence of a calibration says was found, for the reader of a certificate."""
+    return found_in(sentence).replace("probable cause: ", "what would explain the residuals: ")
 
 
 def statements_of_result(calibration: Calibration, *first: str) -> list[str]:
@@ -216,7 +205,7 @@ def check_certificate(certificate: Certificate, calibration: Calibration) -> Cal
     if calibration.outcome.unsteady and certificate.changed is None:
         raise InputError(
             "certificate: changed: expected a statement under this key on a device that changed while it was recorded, "
-            f"found none, and: {for_reader(calibration.outcome.unsteady[0])}"
+            f"found none, and: {calibration.outcome.unsteady[0]}"
         )
     begin, end = certificate.days(calibration)
     today = datetime.now(UTC).date() + timedelta(days=1)  # a day for time zones

@@ -161,6 +161,25 @@ def _facts(sheet: Datasheet) -> tuple[tuple[str, str], ...]:
 
 def _tables(sheet: Datasheet) -> Iterator[Table]:
     """Yield a table for each kind of sensor, with each parameter in the unit of its largest value."""
+
+    def cells(row: DatasheetRow, size: float, unit: str) -> dict[str, str]:
+        def cell(value: float | None, digits: int = 3) -> str:
+            return "" if value is None else f"{float(f'{value / size:.{digits}g}'):.10g}"
+
+        return {
+            "term": row.term,
+            "N": str(row.units),
+            "min": cell(row.least),
+            "typical": cell(row.typical),
+            "max": cell(row.most),
+            "s": cell(row.between),
+            "run to run": cell(row.run_to_run),
+            "u": cell(row.u, 2),
+            "95/95 from": cell(row.low),
+            "to": cell(row.high),
+            "unit": unit,
+        }
+
     for kind, words in WORDS.items():
         rows = [row for row in sheet.rows if row.name.startswith(f"{kind}.")]
         units = {
@@ -168,28 +187,7 @@ def _tables(sheet: Datasheet) -> Iterator[Table]:
             for row in rows
         }
         if rows:
-            yield quantity_table(rows, units, _cells, words=("term",), caption=words.capitalize(), dense=True)
-
-
-def _cells(row: DatasheetRow, size: float, unit: str) -> dict[str, str]:
-    """Return the cells of a parameter by column."""
-
-    def cell(value: float | None, digits: int = 3) -> str:
-        return "" if value is None else f"{float(f'{value / size:.{digits}g}'):.10g}"
-
-    return {
-        "term": row.term,
-        "N": str(row.units),
-        "min": cell(row.least),
-        "typical": cell(row.typical),
-        "max": cell(row.most),
-        "s": cell(row.between),
-        "run to run": cell(row.run_to_run),
-        "u": cell(row.u, 2),
-        "95/95 from": cell(row.low),
-        "to": cell(row.high),
-        "unit": unit,
-    }
+            yield quantity_table(rows, units, cells, words=("term",), caption=words.capitalize(), dense=True)
 
 
 def write_datasheet(sheet: Datasheet, out: Path, created: str) -> None:

@@ -196,23 +196,17 @@ def _parameter(parameter: Parameter, verdicts: Sequence[Verdict]) -> dict[str, A
 
 def _real(value: float, u: float | None, unit: str, degrees: float) -> dict[str, Any]:
     """Return a value with its expanded uncertainty by the degrees of freedom; with u if these are too few for U."""
-    k = stated_factor(degrees)
+    k, digits = stated_factor(degrees), 12
+    if u and value != 0.0:  # the value is rounded to the last digit of its u
+        digits = min(max(U_DIGITS + floor(log10(abs(value))) - floor(log10(u)), 1), digits)
     return {
-        "value": to_digits(value, u),
+        "value": f"{value:.{digits}g}",
         "unit": d_si(unit),
         "u": None if u is None else f"{u:.{U_DIGITS}g}",
         "U": None if u is None or k is None else f"{k * u:.{U_DIGITS}g}",
         "k": None if k is None else f"{k:.{U_DIGITS}g}",
         "distribution": "normal" if np.isinf(degrees) else "Student's t",
     }
-
-
-def to_digits(value: float, u: float | None) -> str:
-    """Return a value, rounded to the last digit of its u."""
-    if not u or value == 0.0:
-        return f"{value:.12g}"
-    digits = U_DIGITS + floor(log10(abs(value))) - floor(log10(u))
-    return f"{value:.{min(max(digits, 1), 12)}g}"
 
 
 def _model(kind: SensorKind, model: SensorModel) -> dict[str, dict[str, str]]:

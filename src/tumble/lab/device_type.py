@@ -172,10 +172,27 @@ def prior_of(units: Sequence[Unit], model: str) -> DevicePrior:
     marginals = [_marginal(unit, names) for unit in units]
     information = np.array([each * np.outer(size, size) for each, _ in marginals])
     shift = np.array([each * size for _, each in marginals])
-    variances, degrees = _variances(information, shift, list(positions_by_group(names).values()))
-    mean, M, _, _ = _mean(information, shift, variances)
+
+    b, groups = np.full(len(names), 0.1), list(positions_by_group(names).values())
+    for _ in range(MAX_ITERATIONS):
+        _, _, q, p = _mean(information, shift, b)
+        before = b.copy()
+        for members in groups:
+            b[members] *= np.sqrt((q[:, members] ** 2).sum() / max(p[:, members].sum(), 1e-300))
+        b = np.clip(b, 1e-14, 1.0)
+        if np.all(np.abs(b - before) < TOLERANCE * before):
+            break
+    _, _, q, p = _mean(information, shift, b)
+    b = np.maximum(b, b * (q**2).sum(axis=0) / np.maximum(p.sum(axis=0), 1e-300))
+    error, degrees = np.zeros(len(b)), np.zeros(len(b))
+    for members in groups:
+        error[members] = np.sqrt(2.0 / max((p[:, members] ** 2).sum(), 1e-300))
+        degrees[members] = (b[members] * p[:, members]).sum()
+    b = np.minimum(b + error, 1.0)
+    mean, M, _, _ = _mean(information, shift, b)
+
     launches = np.array([(run_to_run(units, name) or 0.0) ** 2 for name in names])
-    covariance = (M + np.diag(variances)) * np.outer(size, size) + np.diag(launches)
+    covariance = (M + np.diag(b)) * np.outer(size, size) + np.diag(launches)
     kept = np.flatnonzero(np.diag(covariance) < [1.0 / max(each) for each in usual])  # better than the grade
     sizes = {kind: in_run_sizes(units, kind) for kind in ("accel", "gyro")}
     return DevicePrior(
@@ -215,24 +232,3 @@ def _mean(information: Array, shift: Array, b: Array) -> tuple[Array, Array, Arr
     mean = M @ w.sum(axis=0)
     p = np.diagonal(W, axis1=1, axis2=2) - np.einsum("ijk,kl,ilj->ij", W, M, W)
     return mean, M, w - W @ mean, np.maximum(p, 0.0)
-
-
-def _variances(information: Array, shift: Array, groups: Sequence[Sequence[int]]) -> tuple[Array, Array]:
-    """Return the variances b (m,) between units, with their standard errors added, and their degrees of freedom
-    (m,)."""
-    b = np.full(shift.shape[1], 0.1)
-    for _ in range(MAX_ITERATIONS):
-        _, _, q, p = _mean(information, shift, b)
-        before = b.copy()
-        for members in groups:
-            b[members] *= np.sqrt((q[:, members] ** 2).sum() / max(p[:, members].sum(), 1e-300))
-        b = np.clip(b, 1e-14, 1.0)
-        if np.all(np.abs(b - before) < TOLERANCE * before):
-            break
-    _, _, q, p = _mean(information, shift, b)
-    b = np.maximum(b, b * (q**2).sum(axis=0) / np.maximum(p.sum(axis=0), 1e-300))
-    error, degrees = np.zeros(len(b)), np.zeros(len(b))
-    for members in groups:
-        error[members] = np.sqrt(2.0 / max((p[:, members] ** 2).sum(), 1e-300))
-        degrees[members] = (b[members] * p[:, members]).sum()
-    return np.minimum(b + error, 1.0), degrees

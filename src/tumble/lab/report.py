@@ -19,7 +19,6 @@ from tumble.errors import InputError
 from tumble.files import FilePath, ending_in
 from tumble.lab.certificate import (
     SCOPE_STATEMENT,
-    Certificate,
     Party,
     certificate_limits,
     check_certificate,
@@ -43,7 +42,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.further import recording_dates
 from tumble.result.parts import Parameter
 from tumble.result.uncertainty_budget import shares_of_priors
-from tumble.views.blocks import Block, Document, Letterhead, Part, Section, Signature, Table, Text, Tone, section
+from tumble.views.blocks import Block, Document, Letterhead, Part, Section, Signature, Text, Tone, section
 from tumble.views.numbers import (
     cells,
     degrees,
@@ -117,6 +116,11 @@ def write_certificate(
     laboratory = stated.laboratory
     if not accepted_kinds(calibration):  # values that must not be used are not certified under accreditation
         laboratory = laboratory.model_copy(update={"code": None})
+    # above the signatures: decision rule, basis of the priors, traceability, remarks, scope
+    agreed = f" Agreed beforehand: {stated.agreed}." if stated.agreed else ""
+    rule = f"{_RULE}{agreed}{''.join(check.risk_sentence for check in checks)}" if stated.limits else ""
+    traced = f"Traceability: {'; '.join(stated.traceability)}." if stated.traceability else ""
+    statements = (rule, statement_of_priors(calibration), traced, stated.changed, *stated.remarks, SCOPE_STATEMENT)
     document = Document(
         title="Calibration certificate",
         device=device_name(calibration.serial, calibration.model),
@@ -125,7 +129,7 @@ def write_certificate(
         facts=(*stated.facts(calibration), *front(calibration, [calibration.method])),
         created=calibration.provenance.created or "",
         parts=(Part(title="", sections=(*_sections(sources[0], acceptance, checks, as_found),), customer=1),),
-        statements=_statements(stated, calibration, checks),
+        statements=tuple(filter(None, statements)),
         signatures=tuple(Signature(name=person.name, role=person.role or "") for person in stated.person),
         closing=f"End of the certificate {stated.number}",
         number=stated.number,
@@ -163,24 +167,22 @@ def _write(
 def limits_section(acceptance: Limits, checks: Sequence[Verdict]) -> Section:
     """Return the section with the decision rule and the verdicts on all parameters that have limits."""
     blocks: list[Block] = [f"{_RULE} Limits hold in the frame “{acceptance.frame}”."]
-    for verdict in checks:
-        reasons = f" ({'; '.join(verdict.reasons)})" if verdict.reasons else ""
-        sentence = f"{_CHECKS[verdict.occasion]}: {verdict.result}{reasons}.{verdict.risk_sentence}"
-        blocks += [Text(text=sentence, tone=TONES[verdict.result]), _judgement_table(verdict.judgements)]
-    return section("Limits and verdict", *blocks)
-
-
-def _judgement_table(judgements: Sequence[LimitJudgement]) -> Table:
-    """Return a table of the parameters that have a limit, with their verdicts."""
 
     def row(j: LimitJudgement, size: float, unit: str) -> dict[str, str]:
         value, U = cells(j.value, j.expanded, size)
         row = {"low": limit_cell(j.low, size), "value": value, "U": U, "high": limit_cell(j.high, size)}
         return row | {"unit": unit, "verdict": j.result, "risk": risk_text(j.risk)}
 
-    sizes = ((j.name, size, j.unit) for j in judgements for size in (j.value, j.low, j.high) if size is not None)
-    units = units_of_values(each for each in sizes if math.isfinite(each[1]))
-    return quantity_table(judgements, units, row, words=("verdict",))
+    for verdict in checks:
+        reasons = f" ({'; '.join(verdict.reasons)})" if verdict.reasons else ""
+        sentence = f"{_CHECKS[verdict.occasion]}: {verdict.result}{reasons}.{verdict.risk_sentence}"
+        sizes = ((j.name, size, j.unit) for j in verdict.judgements for size in (j.value, j.low, j.high))
+        units = units_of_values(
+            (name, size, unit) for name, size, unit in sizes if size is not None and math.isfinite(size)
+        )
+        table = quantity_table(verdict.judgements, units, row, words=("verdict",))
+        blocks += [Text(text=sentence, tone=TONES[verdict.result]), table]
+    return section("Limits and verdict", *blocks)
 
 
 # -------------------- certificates --------------------
@@ -200,22 +202,19 @@ def _sections(
             row |= dict(zip(("as found", "U as found"), before, strict=True))
         return row
 
-    found = [] if as_found is None else [_as_found_text(as_found, acceptance)]
+    found = list[str]()
+    if as_found is not None:
+        days = list(dict.fromkeys(moment[:10] for moment in recording_dates(as_found)))
+        judged = [] if acceptance is None else judge_calibration(as_found, acceptance)
+        verdicts = [verdict_on([as_found])[0]]
+        verdicts += [f"{each.occasion} check: {'; '.join(each.reasons) or each.result}" for each in judged]
+        recorded = f"recorded {' and '.join(days)}" if days else "recorded on a day that is not stated"
+        found.append(f"As found: {recorded}, method {as_found.method}; {', '.join(verdicts)}.")
     yield section("Result", *verdict_blocks(calibration, for_reader), *value_blocks(calibration, extra_columns), *found)
     if acceptance is not None:
         yield limits_section(acceptance, checks)
     yield from filter(None, (notes(*statements_of_result(calibration)), *annexes(calibration, "c", short=True)))
     yield provenance(source)
-
-
-def _as_found_text(as_found: Calibration, acceptance: Limits | None) -> str:
-    """Return a sentence with the dates and verdicts of the calibration before an adjustment."""
-    days = list(dict.fromkeys(moment[:10] for moment in recording_dates(as_found)))
-    judged = [] if acceptance is None else judge_calibration(as_found, acceptance)
-    verdicts = [verdict_on([as_found])[0]]
-    verdicts += [f"{each.occasion} check: {'; '.join(each.reasons) or each.result}" for each in judged]
-    recorded = f"recorded {' and '.join(days)}" if days else "recorded on a day that is not stated"
-    return f"As found: {recorded}, method {as_found.method}; {', '.join(verdicts)}."
 
 
 def letterhead(laboratory: Party) -> Letterhead:
@@ -234,15 +233,6 @@ def letterhead(laboratory: Party) -> Letterhead:
         raise InputError(f"{laboratory.logo}: expected a picture in {kind.upper()}, found another file")
     picture = base64.b64encode(logo).decode("ascii")
     return Letterhead(name=laboratory.name, lines=lines, logo=picture, logo_type=kind)
-
-
-def _statements(certificate: Certificate, calibration: Calibration, checks: Sequence[Verdict]) -> tuple[str, ...]:
-    """Return the statements above the signatures: decision rule, basis of the priors, traceability, remarks, scope."""
-    agreed = f" Agreed beforehand: {certificate.agreed}." if certificate.agreed else ""
-    rule = f"{_RULE}{agreed}{''.join(check.risk_sentence for check in checks)}" if certificate.limits else ""
-    traced = f"Traceability: {'; '.join(certificate.traceability)}." if certificate.traceability else ""
-    stated = (rule, statement_of_priors(calibration), traced, certificate.changed, *certificate.remarks)
-    return (*filter(None, stated), SCOPE_STATEMENT)
 
 
 def statement_of_priors(calibration: Calibration) -> str:

@@ -302,28 +302,23 @@ def _worst_position(sphere: _Sphere, fit: EllipsoidFit | None, used: BoolArray) 
         distance = np.where(1.0 - fit.leverage > LEAST_REDUNDANCY, distance, 0.0)
         suspects.add(int(np.argmax(np.where(used, distance, -1.0))))
     if fit is None or used.sum() <= MOST_TRIED:
-        without[used] = _rms_without_each(sphere.readings[used])
+        readings = sphere.readings[used]
+        others = np.array([np.delete(readings, i, axis=0) for i in range(len(readings))])
+        fits = fit_many(others)
+        off = others - fits.centre[:, None]
+        length = np.sqrt(np.einsum("uni,uij,unj->un", off, fits.shape, off))
+        rms = np.sqrt(((length - 1.0) ** 2).mean(axis=1))  # relative to the modulus
+        without[used] = np.where(fits.found & fits.determined, rms, np.inf)
         suspects |= {int(np.argmin(without))} if np.isfinite(without).any() else set()
     judged = []
     for i in suspects:
-        others = used & (np.arange(len(used)) != i)
-        refit = _fit(sphere, others)
+        rest = used & (np.arange(len(used)) != i)
+        refit = _fit(sphere, rest)
         if refit is not None:
             ratio = scipy.special.fdtri(refit.degrees, refit.degrees, 1.0 - RIVAL_P_VALUE)
-            alike = np.isfinite(without) & others & (without**2 < ratio * without[i] ** 2)
+            alike = np.isfinite(without) & rest & (without**2 < ratio * without[i] ** 2)
             rivals = tuple(np.flatnonzero(alike).tolist())
             judged.append(
                 WorstPosition(position=i, sigmas=float(refit.sigmas[i]), scatter=refit.scatter, rivals=rivals)
             )
     return max(judged, key=lambda each: each.sigmas, default=None)
-
-
-def _rms_without_each(readings: Array) -> Array:
-    """Return the rms residual (N,) of the algebraic fit without each reading, relative to the modulus; infinite if
-    there is no fit."""
-    indices = np.arange(len(readings))
-    without = np.array([readings[indices != i] for i in indices])
-    fits = fit_many(without)
-    off = without - fits.centre[:, None]
-    length = np.sqrt(np.einsum("uni,uij,unj->un", off, fits.shape, off))
-    return np.where(fits.found & fits.determined, np.sqrt(((length - 1.0) ** 2).mean(axis=1)), np.inf)

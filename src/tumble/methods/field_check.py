@@ -238,7 +238,8 @@ def changes_in(
         if len(candidates):
             lower = np.linalg.qr(G[:, candidates] * u[candidates], mode="r")
             normal = _normal_numbers(len(lower) + 1)
-            factor = _student_factor(normal[:, -1:], inverse_degrees[candidates])
+            ninth = 2.0 / 9.0 * inverse_degrees[candidates]  # √(ν/χ²_ν) from a normal number (Wilson & Hilferty)
+            factor = np.maximum(1.0 - ninth + np.sqrt(ninth) * normal[:, -1:], LEAST_ROOT) ** -1.5
             limit = float(np.quantile((np.abs(normal[:, :-1] @ lower) * factor).max(axis=1), 1.0 - CHANCE))
         largest = float(np.abs(t[candidates]).max(initial=0.0))
         first = first or {
@@ -330,12 +331,6 @@ def session_information(
     R = session[:-1, :-1]
     degrees = sum(each.shape[0] * each.shape[1] for each in (equations.rest_rows, equations.turn_rows)) - angles
     return R, session[:-1, -1] + R @ off, session[-1, -1] ** 2, degrees
-
-
-def _student_factor(normal: Array, inverse_degrees: Array) -> Array:
-    """Return √(ν/χ²_ν), the ratio of Student's t to a normal number, from another one (Wilson & Hilferty)."""
-    ninth = 2.0 / 9.0 * inverse_degrees
-    return np.asarray(np.maximum(1.0 - ninth + np.sqrt(ninth) * normal, LEAST_ROOT) ** -1.5)
 
 
 @cache

@@ -5,11 +5,12 @@
     C*⁻¹ (S11 − S12 S22⁻¹ S21) ξ1 = λ ξ1, the only positive λ;  ξ2 = −S22⁻¹ S21 ξ1;  S = DᵀD              (20)
 
 for centred and scaled readings. A row of D has the ten monomials of a reading; ξ1 are the first six coefficients.
-The centre of the ellipsoid is the bias, Eq. (13). Its shape gives scale factors and angles, Eq. (12): H⁻¹ = M Mᵀ with
-the Cholesky factor M, in the frame of the accelerometers. 4J − I² > 0 is sufficient for an ellipsoid but not necessary.
-It holds if the shortest semi-axis is at least half the longest, so each channel is scaled. With the Cholesky factor L
-of the matrix in brackets, (20) becomes the symmetric problem L⁻¹ C* L⁻ᵀ z = z/λ, ξ1 = L⁻ᵀ z. C* as printed, with −4,
-belongs to the unknowns d/2, e/2, f/2, with the products taken twice.
+The centre of the ellipsoid is the bias, Eq. (13). Its shape H gives scale factors and angles, Eq. (12): H⁻¹ = m² M Mᵀ,
+where m is the length of the true vector and m M the Cholesky factor of H⁻¹, in the frame of the accelerometers.
+4J − I² > 0 is sufficient for an ellipsoid but not necessary. It holds if the shortest semi-axis is at least half the
+longest, so each channel is scaled. With the Cholesky factor L of the matrix in brackets, (20) becomes the symmetric
+problem L⁻¹ C* L⁻ᵀ z = z/λ, ξ1 = L⁻ᵀ z. C* as printed, with −4, belongs to the unknowns d/2, e/2, f/2, with the products
+taken twice.
 
 Source: Li & Griffiths, Least squares ellipsoid specific fitting (GMP 2004); equation numbers are those of the ellipsoid
 paper (calibration of a triaxial block of navigation accelerometers by ellipsoid fitting), which uses it.
@@ -60,7 +61,19 @@ def fit_many(readings: Array) -> Ellipsoids:
     size = np.sqrt(3.0 * np.einsum("uin,uin->ui", scaled, scaled) / scaled.shape[2])
     size = np.where(size > 0.0, size, 1.0)
     scaled /= size[:, :, None]
-    xi, determined = _conic(scaled)
+    units, _, positions = scaled.shape
+    D = np.ones((units, 10, positions))
+    D[:, :3] = scaled**2
+    D[:, 3:6] = 2.0 * scaled * scaled[:, [1, 2, 0]]  # as the unknowns are d/2, e/2, f/2
+    D[:, 6:9] = scaled
+    S = D @ np.swapaxes(D, 1, 2) / positions
+    to_xi2 = -np.linalg.solve(S[:, 6:, 6:] + _LEAST_EIGENVALUE * np.eye(4), S[:, 6:, :6])
+    L = np.linalg.cholesky(S[:, :6, :6] + S[:, :6, 6:] @ to_xi2 + _LEAST_EIGENVALUE * np.eye(6))
+    inverse = np.linalg.inv(L)
+    values, vectors = np.linalg.eigh(inverse @ _PENCIL @ np.swapaxes(inverse, 1, 2))
+    xi1 = np.swapaxes(inverse, 1, 2) @ vectors[:, :, -1:]
+    xi = np.concatenate([xi1, to_xi2 @ xi1], axis=1)[:, :, 0]
+    xi *= (np.sign(xi[:, :3].sum(axis=1)) / np.abs(xi[:, :6]).max(axis=1))[:, None]  # a + b + c > 0
     H = xi[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]]
     definite = (xi[:, 0] > 0.0) & (H[:, 0, 0] * H[:, 1, 1] > H[:, 0, 1] ** 2) & (np.linalg.det(H) > 0.0)
     H = np.where(definite[:, None, None], H, np.eye(3))
@@ -72,25 +85,5 @@ def fit_many(readings: Array) -> Ellipsoids:
         centre=np.where(found[:, None], mean + size * offset, np.nan),
         shape=np.where(found[:, None, None], shape, np.nan),
         found=found,
-        determined=determined,
+        determined=np.linalg.norm(values[:, :-1], axis=1) < 1.0 / _LEAST_SECOND,
     )
-
-
-def _conic(scaled: Array) -> tuple[Array, BoolArray]:
-    """Return coefficients (U, 10) of (9) for readings (U, 3, N), and whether these determine them.
-
-    d, e and f are halved, and a + b + c > 0."""
-    units, _, positions = scaled.shape
-    D = np.ones((units, 10, positions))
-    D[:, :3] = scaled**2
-    D[:, 3:6] = 2.0 * scaled * scaled[:, [1, 2, 0]]
-    D[:, 6:9] = scaled
-    S = D @ np.swapaxes(D, 1, 2) / positions
-    to_xi2 = -np.linalg.solve(S[:, 6:, 6:] + _LEAST_EIGENVALUE * np.eye(4), S[:, 6:, :6])
-    L = np.linalg.cholesky(S[:, :6, :6] + S[:, :6, 6:] @ to_xi2 + _LEAST_EIGENVALUE * np.eye(6))
-    inverse = np.linalg.inv(L)
-    values, vectors = np.linalg.eigh(inverse @ _PENCIL @ np.swapaxes(inverse, 1, 2))
-    xi1 = np.swapaxes(inverse, 1, 2) @ vectors[:, :, -1:]
-    xi = np.concatenate([xi1, to_xi2 @ xi1], axis=1)[:, :, 0]
-    scale = np.sign(xi[:, :3].sum(axis=1)) / np.abs(xi[:, :6]).max(axis=1)
-    return xi * scale[:, None], np.linalg.norm(values[:, :-1], axis=1) < 1.0 / _LEAST_SECOND

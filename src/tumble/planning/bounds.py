@@ -10,7 +10,7 @@ effects of quantities that `calibrate` does not know exactly:
 * the time base, which is common to all gyro scale factors;
 * the ends of the rests: the segmentation leaves their margins to the turns.
 
-All moves between rests are in the log, each about one axis at a constant rate (`tumble.planning.steady_turns`). Errors
+All moves between rests are in the log, each about one axis at a constant rate (`tumble.planning.itinerary`). Errors
 of table and mounting have no effect, as the attitudes are unknowns: one degree changes u by parts of a thousand.
 """
 
@@ -38,9 +38,8 @@ from tumble.inference.sources import clock_effects, clock_errors
 from tumble.inference.uncertainty_budget import contributions
 from tumble.planning.expected_sizes import with_expected_sizes
 from tumble.planning.in_motion import Motion, observed_in_motion
-from tumble.planning.itinerary import Itinerary, itinerary_of
+from tumble.planning.itinerary import Itinerary, inertial_turns, itinerary_of, steady_samples, white_turns
 from tumble.planning.setup import ACCEL, GYRO, Setup, check_setup
-from tumble.planning.steady_turns import inertial_turns, steady_samples, white_turns
 from tumble.recording.session import Site
 from tumble.reduction.blocks.tuning import USUAL
 from tumble.reduction.observations import Observations

@@ -175,15 +175,10 @@ def next_positions(
     return tuple(
         NextPosition(
             position=positions[places[i]],
-            move=_move(moves[i]) if turned[i] else ANY_MOVE,
+            move=Move(axis=np.eye(3)[component], angle=float(moves[i, component])) if turned[i] else ANY_MOVE,
             as_good=others,
             ratio=float(values[i] / before),
         )
         for i, others in ((int(each.min()), len(each) - 1) for each in alike)
+        for component in [int(np.abs(moves[i]).argmax())]
     )
-
-
-def _move(vector: Array) -> Move:
-    """Return the turn of the table by a rotation vector, about the positive axis."""
-    component = int(np.argmax(np.abs(vector)))
-    return Move(axis=np.eye(3)[component], angle=float(vector[component]))

@@ -3,8 +3,9 @@
 With the method `joint` (`tumble.planning.bounds.expected_bound`), a wanted accuracy requires longer rests, or more
 positions, each the best next one; errors of table and mounting have no effect. With the methods of the turntable paper,
 whose accuracy formulas are in `tumble.planning.pass_errors`, it requires tolerances of table and mounting and a
-duration T of rests. With the wanted u w, the variance f² that no table changes, that of rest noise n²/T, and the part
-d(s)² by s times the errors of table and mounting,
+duration T of rests. Shorter rests than `calibrate` finds (`least_rest`) are refused, and never required. With the
+wanted u w, the variance f² that no table changes, that of rest noise n²/T, and the part d(s)² by s times the errors of
+table and mounting,
 
     n²/T = ¼ (w² − f²),   d(s)² = ¾ (w² − f²)
 """
@@ -27,10 +28,12 @@ from tumble.planning.error_propagation import MethodOfPaper
 from tumble.planning.in_motion import Motion
 from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
 from tumble.planning.pass_errors import ESTIMATORS, REST_NOISE, PassErrors, remarks
-from tumble.planning.setup import MEMBERS, NAMES, UNITS, Setup, check_setup, expect, with_all_groups
+from tumble.planning.setup import MEMBERS, NAMES, UNITS, Setup, check_setup, expect, time_of, with_all_groups
 from tumble.recording.session import USUAL_RATE_U
 from tumble.recording.session.document import UNKNOWN_HEIGHT_GRAVITY_U
+from tumble.reduction.blocks.tuning import USUAL
 from tumble.reduction.rests.matching import POSITION_LIMIT
+from tumble.rotation import UP
 from tumble.sensors.grades import spread_of
 from tumble.sensors.parameters import Terms, positions_by_group
 from tumble.units import DEGREE, engineering
@@ -75,6 +78,7 @@ class Requirement:
     table_error: float | None = None  #: largest one, rad; None if none within `largest_errors` matters
     mounting_error: float | None = None  #: the same for the mounting, in the ratio of the set-up
     rest: float = math.inf  #: shortest rest, s, with the programme as it is; infinite if an hour is too short
+    reached: float = math.inf  #: rms of u with these rests and tolerances, less than `wanted` with the least rest
     positions: int | None = None  #: their number with the rests as they are; None if MOST_ADDED more are too few
     reason: str = ""  #: why no set-up gives this accuracy
 
@@ -218,7 +222,7 @@ def plan(
         ),
         requirements=requirements,
         motion=motion,
-        reasons=(*missing, *(() if motion else _tilted(setup)), *(row.reason for row in requirements if row.reason)),
+        reasons=(*missing, *(() if motion else _unfit(setup)), *(row.reason for row in requirements if row.reason)),
     )
 
 
@@ -232,17 +236,40 @@ def largest_errors(setup: Setup) -> tuple[float, float]:
     return most * table, most * mounting
 
 
-def _tilted(setup: Setup) -> tuple[str, ...]:
-    """Return a reason if errors of table and mounting are too large to match rests with positions."""
-    tilt = math.sqrt(2.0) * (setup.table_error + setup.mounting_error)
-    if tilt <= 1.001 * POSITION_LIMIT:
-        return ()
-    return (
-        f"errors of table and mounting of up to {setup.table_error / DEGREE:.3g}° and "
-        f"{setup.mounting_error / DEGREE:.3g}° may tilt a position by {tilt / DEGREE:.2g}°, and `calibrate` takes "
-        f"rests within {POSITION_LIMIT / DEGREE:.0f}° of the positions of a programme; the method joint needs none: "
-        "leave [programme] out of the session",
+def least_rest(setup: Setup) -> float:
+    """Return the shortest rest, whole s, with which `calibrate` finds every rest of a set-up's programme.
+
+    A rest has its least duration between its margins. Of N rests of r s the windows of w s within a rest last r − w.
+    Beside moves of M s they must be the share q of the recording from which the search starts, and twice as much as in
+    the longest turn of T s about the vertical, which is as quiet and as steady as a rest (with 1.5 to 1.8 times as
+    much, 3 of 8 simulated sessions were refused):
+
+        N (r − w) ≥ q (N r + M),   N (r − w) ≥ 2 (T − w)
+    """
+    programme, q, w = setup.programme, USUAL.quiet_share, USUAL.window
+    N = len(programme.positions)
+    M = time_of(programme, setup) - N * setup.rest
+    about_vertical = (
+        abs(m.angle) for m in programme.moves if m.angle and m.axis is not None and abs(m.axis @ UP) > 0.5
     )
+    T = max(about_vertical, default=0.0) / setup.turn_rate
+    return max(USUAL.still, math.ceil((w + q * M / N) / (1.0 - q)), math.ceil(w + 2.0 * (T - w) / N))
+
+
+def _unfit(setup: Setup) -> tuple[str, ...]:
+    """Return reasons why `calibrate` does not find the rests of a set-up, or does not match them with positions."""
+    reasons = list[str]()
+    if setup.rest < (least := least_rest(setup)):
+        reasons.append(f"rests of {setup.rest:g} s: expected at least {least:g} s, so that `calibrate` finds every one")
+    tilt = math.sqrt(2.0) * (setup.table_error + setup.mounting_error)
+    if tilt > 1.001 * POSITION_LIMIT:
+        reasons.append(
+            f"errors of table and mounting of up to {setup.table_error / DEGREE:.3g}° and "
+            f"{setup.mounting_error / DEGREE:.3g}° may tilt a position by {tilt / DEGREE:.2g}°, and `calibrate` takes "
+            f"rests within {POSITION_LIMIT / DEGREE:.0f}° of the positions of a programme; the method joint needs "
+            "none: leave [programme] out of the session"
+        )
+    return tuple(reasons)
 
 
 def _check_wanted(wanted: Mapping[str, float], groups: tuple[PlannedGroup, ...]) -> None:
@@ -315,7 +342,8 @@ def _joint_requirement(
         return state(replace(setup, rest=rest)).rms(group)
 
     row = Requirement(group=group, unit=UNITS[group], wanted=wanted, u=u(setup.rest), positions=positions)
-    rests = [min(2.0**i, LONGEST_REST) for i in range(math.ceil(math.log2(LONGEST_REST)) + 1)]
+    least = least_rest(setup)
+    rests = [min(2.0**i * least, LONGEST_REST) for i in range(math.ceil(math.log2(LONGEST_REST / least)) + 1)]
     tried = dict[float, float]()
     for rest in rests:
         if (found := u(rest)) <= wanted:
@@ -323,7 +351,7 @@ def _joint_requirement(
             while rest > 1.01 * short:
                 middle = math.sqrt(short * rest)
                 short, rest = (short, middle) if u(middle) <= wanted else (middle, rest)
-            return replace(row, rest=rest)
+            return replace(row, rest=rest, reached=u(rest))
         tried[rest] = found
     if positions is not None:
         return row
@@ -366,7 +394,7 @@ def _plan_of_paper(setup: Setup, method: MethodOfPaper, iterations: int, wanted:
                 )
             )
     expected = Plan(
-        setup=setup, method=method, groups=tuple(groups), reasons=_tilted(setup), remarks=tuple(remarks(setup))
+        setup=setup, method=method, groups=tuple(groups), reasons=_unfit(setup), remarks=tuple(remarks(setup))
     )
     _check_wanted(wanted, expected.groups)
     if wanted and max(setup.table_error, setup.mounting_error) == 0.0:  # equal tolerances
@@ -410,9 +438,11 @@ def _paper_requirement(planned: PlannedGroup, wanted: float, errors: PassErrors)
         )
         return replace(row, reason=reason)
     permitted = (1.0 - REST_SHARE) * free if rest_noise > 0.0 else free
-    row = replace(row, rest=rest_noise / (REST_SHARE * free))
+    rest = max(rest_noise / (REST_SHARE * free), least_rest(setup))
     largest = max(largest_errors(setup)) / max(setup.table_error, setup.mounting_error)
-    if by_deviations(largest) - floor <= permitted:
+    by_table = min(by_deviations(largest) - floor, permitted)
+    row = replace(row, rest=rest, reached=math.sqrt(least + rest_noise / rest + by_table))
+    if by_table < permitted:
         return row
     scale = float(brentq(lambda x: by_deviations(x) - floor - permitted, 0.0, largest, rtol=1e-9))
     return replace(row, table_error=scale * setup.table_error, mounting_error=scale * setup.mounting_error)

@@ -22,6 +22,7 @@ from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
+from tumble.advice import Advised, prefixed
 from tumble.brief import Brief
 from tumble.programme.positions import Programme
 from tumble.recording.session import Site
@@ -271,9 +272,12 @@ def observe(
         noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
         if sway is not None:
             notes.append(
-                f"the device sways by {sway.angle / DEGREE:.2g}° in its rests, as in the hand; the gyros follow it, so "
-                "that turns are taken from mean attitude to mean attitude; put it down on something firm in each "
-                "position: everything is known better, the biases of the gyros most of all"
+                Advised(
+                    f"the device sways by {sway.angle / DEGREE:.2g}° in its rests, as in the hand; the gyros follow "
+                    "it, so that turns are taken from mean attitude to mean attitude",
+                    "put it down on something firm in each position: everything is known better, the biases of the "
+                    "gyros most of all",
+                )
             )
             rests = replace(rests, accel=rests.accel * (1.0 + sway.shortened)[:, None])
         turned = turns, turn_samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded, sway)
@@ -363,7 +367,9 @@ def join_sessions(sessions: Sequence[Observations], names: Sequence[str], number
         position=None,
         rounding=rounding,
         thermometers=Thermometers(files=records) if thermometers else None,
-        notes=tuple(f"{name}: {note}" for name, session in zip(names, sessions, strict=True) for note in session.notes),
+        notes=tuple(
+            prefixed(f"{name}: ", note) for name, session in zip(names, sessions, strict=True) for note in session.notes
+        ),
         turns_left_out=tuple(
             f"{name}: {turn}" for name, session in zip(names, sessions, strict=True) for turn in session.turns_left_out
         ),

@@ -35,21 +35,7 @@ def accepted_part(calibration: AnyCalibration) -> AnyCalibration:
             f"calibration of {calibration.serial!r}: expected an accepted one, found: "
             f"{'; '.join(calibration.outcome.reasons)}"
         )
-    return _alone(calibration, kinds[0])
-
-
-def accepted_kinds(calibration: CalibrationData) -> tuple[SensorKind, ...]:
-    """Return the kinds of sensors of a calibration that are accepted."""
-    outcome = calibration.outcome
-    judged: tuple[tuple[SensorKind, SensorModel | None, Judgement], ...] = (
-        ("accel", calibration.accel, outcome.accel),
-        ("gyro", calibration.gyro, outcome.gyro),
-    )
-    return tuple(kind for kind, model, judgement in judged if model is not None and judgement.accepted)
-
-
-def _alone(calibration: AnyCalibration, kind: SensorKind) -> AnyCalibration:
-    """Return the calibration of one kind of sensor, without the parts of the other kind."""
+    kind = kinds[0]
     other: SensorKind = "gyro" if kind == "accel" else "accel"
     outcome, prediction = calibration.outcome, calibration.prediction
     evidence, provenance = calibration.evidence, calibration.provenance
@@ -104,3 +90,13 @@ def _alone(calibration: AnyCalibration, kind: SensorKind) -> AnyCalibration:
             thermometers=of_kind(calibration.temperature.thermometers),
         ),
     )
+
+
+def accepted_kinds(calibration: CalibrationData) -> tuple[SensorKind, ...]:
+    """Return the kinds of sensors of a calibration that are accepted."""
+    outcome = calibration.outcome
+    judged: tuple[tuple[SensorKind, SensorModel | None, Judgement], ...] = (
+        ("accel", calibration.accel, outcome.accel),
+        ("gyro", calibration.gyro, outcome.gyro),
+    )
+    return tuple(kind for kind, model, judgement in judged if model is not None and judgement.accepted)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from importlib import import_module
@@ -12,20 +13,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 
+from tumble.advice import advised
 from tumble.arguments import checked
-from tumble.errors import InputError
-from tumble.files import FilePath
+from tumble.documents import shown
+from tumble.errors import CalibrationError, InputError
+from tumble.files import FilePath, whole_file
 from tumble.result.correction import corrected_readings
 from tumble.result.coverage import with_degrees
 from tumble.result.file import (
     KEYS,
     adapter_of,
+    check_replaceable,
     content_of,
     file_record,
     parsed,
     text_of,
-    text_of_calibration,
-    write_calibration,
 )
 from tumble.result.frames import calibration_in
 from tumble.result.parts import Evidence, Provenance, check_result
@@ -200,11 +202,25 @@ class Calibration(CalibrationData):
         CalibrationError
             If the file cannot be written or must not be replaced.
         """
-        write_calibration(self, path, force=force)
+        path = Path(path)
+        if path.exists():
+            check_replaceable(self, path, force=force)
+        try:
+            text = self.text()
+        except ValueError:
+            raise CalibrationError(
+                f"{self.serial}: expected an estimate in numbers, found one beyond measure: the recording "
+                "contradicts itself; look for a stretch of it in another unit, and leave it out with [[exclude]]"
+            ) from None
+        try:
+            with whole_file(path) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise CalibrationError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
 
     def text(self) -> str:
         """Return the text of the calibration file."""
-        return text_of_calibration(self)
+        return json.dumps(self.content(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
     def content(self) -> dict[str, Any]:
         """Return the content of the calibration file in the types of JSON."""
@@ -307,6 +323,16 @@ def _calibration_of_record(read: Any) -> Calibration:
     def part(record: type, values: Mapping[str, Any]) -> dict[str, Any]:
         return {f.name: values[f.name] for f in fields(record) if f.name in values}
 
+    def with_remedies(sentences: Iterable[str]) -> Iterator[str]:
+        for each in sentences:
+            remedy = read.remedies.get(each, "")
+            if not each.endswith(remedy):
+                raise ValueError(f"remedies: expected the end of {shown(each)}, found {shown(remedy)}")
+            yield advised(each.removesuffix(f"; {remedy}"), remedy)
+
+    flat |= {key: tuple(with_remedies(flat[key])) for key in ("notes", "assumptions")}
+    reasons, remarks = (tuple(with_remedies(each)) for each in (read.outcome.reasons, read.outcome.remarks))
+    flat["outcome"] = replace(read.outcome, reasons=reasons, remarks=remarks)
     return Calibration(
         **part(Calibration, flat)
         | {

@@ -2,7 +2,8 @@
 `Compensator`.
 
 For the sensors j of a kind, with readings y (n,), SI, let x be the specific force or the rate in the frame of the
-calibration, a_j the nominal axis of a sensor and s_j = a_j · x. The correction iterates
+calibration, a_j the nominal axis of a sensor and s_j = a_j · x. The correction evaluates, once if it is linear, else
+FIXED_POINT_STEPS + 1 times,
 
     x = inverse · (y − bias − terms(x))                                                                          (1)
     terms_j = quadratic_j · (x₁², x₁x₂, x₁x₃, x₂², x₂x₃, x₃²) + cubic_j s_j³ + asymmetry_j |s_j| + by_force_j · f

@@ -14,8 +14,8 @@ as fully correlated. In the mean of L launches
 
 with s the standard deviation from launch to launch, n² the mean variance of a launch, with ν_n degrees of freedom, and
 g the uncertainty that is common to all launches, such as that of gravity. t(L − 1) s/√L has the stated coverage for any
-instability, and no other function of s and n has it (s² is complete); but the mean of two launches that agree by chance
-is no more certain than each of them. The larger of both never covers less: up to 99 % without instability, 96 % if it
+instability, and no other function of s and n has it (s² is complete); but where launches agree by chance it is far too
+small, hence the term of n. The larger of both never covers less: up to 99 % without instability, 96 % if it
 is three times n. t(ν) u alone covers as little as 88 % for two launches and 93 % for three, where g is about 0.3 s/√L,
 because ν is too large there; the larger of t(ν) u and U_m covers at least 95 %. `Parameter.dof` is that of U/u.
 
@@ -31,6 +31,7 @@ from math import erfc, inf, sqrt
 import numpy as np
 import scipy
 
+from tumble.advice import Advised
 from tumble.inference.estimate import Fit
 from tumble.recording.session import Site
 from tumble.result.parts import Parameter, coverage_factor, stated_factor
@@ -183,7 +184,7 @@ def notes_without_expanded(parameters: Sequence[Parameter]) -> Iterator[str]:
     few = {p.name: p.dof for p in parameters if p.dof is not None and p.k is None}
     if few:
         named = ", ".join(few) if len(few) <= MOST_NAMED else f"{len(few)} parameters, first {next(iter(few))}"
-        yield (
-            f"no U is stated for {named}: u has {min(few.values()):.1g} degrees of freedom, fewer than one; record "
-            "more rests or turns"
+        yield Advised(
+            f"no U is stated for {named}: u has {min(few.values()):.1g} degrees of freedom, fewer than one",
+            "record more rests or turns",
         )

@@ -7,7 +7,6 @@ parameters[3].value.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, field, fields, make_dataclass
@@ -18,9 +17,9 @@ from typing import Any, Literal, get_type_hints
 import numpy as np
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from tumble.advice import Advised
 from tumble.documents import as_json, dotted, faults_of, is_plain, json_of, shown, text_of_document
 from tumble.errors import CalibrationError, InputError
-from tumble.files import FilePath, whole_file
 from tumble.recording.session import Circumstances, sensors_content
 from tumble.result.correction import correction_content
 from tumble.result.parts import LARGEST, Parameter
@@ -34,10 +33,10 @@ KEYS = (
     *("format", "device", "method", "frame", "parameters", "covariance", "site", "rests", "turns", "fits"),
     *("accel", "gyro", "mag", "correction", "outcome", "groups", "hyperparameters", "integral", "process_bias"),
     *("budget", "prediction", "axes", "temperature", "iterations", "sample_rate", "clock_u", "circumstances"),
-    *("programme", "readings", "notes", "assumptions", "absent", "launches", "together", "provenance"),
+    *("programme", "readings", "notes", "assumptions", "absent", "remedies", "launches", "together", "provenance"),
 )
 """Keys of the file in their order; `circumstances` is written as "session"."""
-_SENTENCES = ("notes", "assumptions", "absent")  # keys of texts that may have control characters
+_SENTENCES = ("notes", "assumptions", "absent", "remedies")  # keys of texts that may have control characters
 ORIGIN = ("log_sha256", "software", "created", "prior")  # fields of `Provenance` in the table "provenance"
 
 
@@ -47,6 +46,7 @@ def file_record(*parts: type) -> type:
         "format": (Literal[1], field(default=FORMAT)),
         "provenance": (Mapping[str, str], field(default_factory=dict)),
         "correction": (Mapping[str, Any], field(default_factory=dict)),
+        "remedies": (Mapping[str, str], field(default_factory=dict)),
     }
     for part in parts:
         hints = get_type_hints(part, include_extras=True)
@@ -79,6 +79,9 @@ def content_of(calibration: CalibrationData) -> dict[str, Any]:
     for part in (calibration, calibration.evidence, calibration.provenance):
         values |= {each.name: getattr(part, each.name) for each in fields(part)}
     values["correction"] = correction_content(calibration)
+    outcome, origin = calibration.outcome, calibration.provenance
+    sentences = (*outcome.reasons, *outcome.remarks, *origin.notes, *origin.assumptions)
+    values["remedies"] = {sentence: sentence.remedy for sentence in sentences if isinstance(sentence, Advised)}
     values["provenance"] = {key: values[key] for key in ORIGIN if values[key] is not None}
     content: dict[str, Any] = {
         "session" if key == "circumstances" else key: as_json(values[key], _AS_TABLES) for key in KEYS
@@ -126,34 +129,12 @@ _AS_TABLES: Mapping[type, Callable[[Any], Any]] = {
 """Content of types that are not written field by field."""
 
 
-def text_of_calibration(calibration: CalibrationData) -> str:
-    """Return the text of the calibration file."""
-    return json.dumps(content_of(calibration), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def write_calibration(calibration: CalibrationData, path: FilePath, *, force: bool = False) -> None:
-    """Write the calibration file, see `Calibration.write`."""
-    path = Path(path)
-    if path.exists():
-        if not os.access(path, os.W_OK):
-            raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
-        if path.stat().st_size:
-            _check_replaceable(calibration, path, force)
-    try:
-        text = text_of_calibration(calibration)
-    except ValueError:
-        raise CalibrationError(
-            f"{calibration.serial}: expected an estimate in numbers, found one beyond measure: the recording "
-            "contradicts itself; look for a stretch of it in another unit, and leave it out with [[exclude]]"
-        ) from None
-    try:
-        with whole_file(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be written: {error.strerror}; choose another --out") from error
-
-
-def _check_replaceable(new: CalibrationData, path: Path, force: bool) -> None:
+def check_replaceable(new: CalibrationData, path: Path, *, force: bool) -> None:
+    """Raise CalibrationError unless a calibration may replace a file."""
+    if not os.access(path, os.W_OK):
+        raise CalibrationError(f"{path}: cannot be replaced: it is read-only; choose another --out")
+    if not path.stat().st_size:
+        return
     try:
         old = json_of(text_of_document(path))
         same = old["method"] == new.method and old["provenance"]["log_sha256"] == new.provenance.log_sha256

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from math import inf, sqrt
 
 import numpy as np
@@ -17,10 +16,9 @@ from tumble.result.correction import correction_errors
 from tumble.result.coverage import notes_without_expanded
 from tumble.result.parts import Evidence, Launch, Parameter
 from tumble.sensors.model import WORDS
-from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind, shown_in
+from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind
 from tumble.units import Array, engineering, two_digits
 
-WIDENED = 1.05  # factor of a prior above which it counts as widened
 BY_PRIOR = 0.5  # learned fraction below which the prior determines a parameter rather than the data
 OPEN_BIAS_RATIO = 2.0  # u of a single bias to that of the corrected force, above which a prior decides the bias
 OTHER_THAN_TWO = 0.05  # difference of a coverage factor from 2 above which the factor is shown
@@ -31,25 +29,6 @@ _NAME = re.compile(
     r"(?P<kind>accel|gyro|mag)\.(?:axis\.(?P<pair>[xyz]{2})|(?P<what>bias|scale|axis)\."
     r"(?:(?P<letter>[xyz])|(?P<number>\d+))(?:\.(?P<angle>[12]))?)"
 )
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class GroupLine:
-    """A group of parameters in a calibration.
-
-    `largest` is the parameter with the largest |value|, None if the session determines none; `learned` the smallest
-    learned fraction, and `learned_percent` the range, such as "66–72 %"; `prior` is SI. `remark` is set if the group is
-    not determined or its prior was widened. The unit `shown` has the `size` in SI."""
-
-    name: str
-    words: str
-    largest: Parameter | None
-    learned: float | None
-    learned_percent: str
-    prior: float | None
-    remark: str
-    size: float
-    shown: str
 
 
 def parameter_words(name: str) -> str:
@@ -83,37 +62,6 @@ def by_group(parameters: Iterable[Parameter]) -> dict[str, list[Parameter]]:
     return out
 
 
-def group_lines(calibration: Calibration) -> tuple[GroupLine, ...]:
-    """Return a line for every group beyond the linear model that the calibration has or tested."""
-    findings, lines = {group.name: group for group in calibration.groups}, []
-    silent: dict[str, list[Parameter]] = {name: [] for name in findings}
-    for name, members in (silent | by_group(further_parameters(calibration.parameters))).items():
-        finding, entry = findings.get(name), named_group(name)
-        largest = max(members, key=lambda p: abs(p.value), default=None)
-        learned = finding.learned if finding is not None else [p.learned for p in members if p.learned is not None]
-        prior = finding.prior if finding is not None else next((p.prior for p in members if p.prior), None)
-        unit = largest.unit if largest is not None else entry.unit if entry is not None else ""
-        size, shown = shown_in(name, unit, abs(largest.value) if largest is not None else prior or 0.0)
-        ends = [f"{100.0 * end(learned):.0f}" for end in (min, max)] if learned and largest is not None else []
-        remark = "not determined" if largest is None else ""
-        if largest is not None and finding is not None and finding.prior_widened > WIDENED:
-            remark = f"{finding.prior_widened:.2g} times the usual size"
-        lines.append(
-            GroupLine(
-                name=name,
-                words=entry.words if entry is not None else name,
-                largest=largest,
-                learned=min(learned, default=None),
-                learned_percent="–".join(dict.fromkeys(ends)) + " %" * bool(ends),
-                prior=prior,
-                remark=remark,
-                size=size,
-                shown=shown,
-            )
-        )
-    return tuple(lines)
-
-
 def prediction_text(prediction: Prediction) -> str:
     """Return a sentence with the uncertainty of corrected readings."""
     size, unit = engineering("m/s^2", prediction.force_u)
@@ -129,12 +77,13 @@ def prediction_text(prediction: Prediction) -> str:
 def decided_by_priors(calibration: Calibration) -> str | None:
     """Return a sentence on groups whose priors decide the biases of the accelerometers; None if the data decide."""
     biases = [p.u for p in calibration.parameters if group_name(p.name) == "accel.bias" and p.u]
-    groups = []
-    for line in group_lines(calibration):
-        entry = named_group(line.name)
+    groups, findings = [], {group.name: group.learned for group in calibration.groups}
+    for name, members in by_group(further_parameters(calibration.parameters)).items():
+        entry = named_group(name)
+        learned = findings.get(name) or [p.learned for p in members if p.learned is not None]
         seen_at_rest = entry is not None and entry.kind == "accel" and entry.regressors is not None
-        if seen_at_rest and line.largest is not None and line.learned is not None and line.learned < BY_PRIOR:
-            groups.append(line.words)
+        if entry is not None and seen_at_rest and min(learned, default=1.0) < BY_PRIOR:
+            groups.append(entry.words)
     if calibration.prediction is None or not biases or not groups:
         return None
     ratio = max(biases) / calibration.prediction.force_u
@@ -184,11 +133,6 @@ def rest_summary(recorded: Evidence | Launch) -> str:
     if not turns:
         return sentence
     return f"{sentence}; {len(turns)} turns, the worst {max(turn.sigmas for turn in turns):z.1f} sigma from the fit"
-
-
-def has_redundancy(fit: Fit) -> bool:
-    """Return True if there are more data than unknowns."""
-    return fit.degrees >= 0.5
 
 
 def has_other_factors(parameters: Sequence[Parameter]) -> bool:

@@ -14,7 +14,7 @@ from typing import Annotated, TypeVar
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from tumble.errors import CalibrationError, InputError
+from tumble.errors import CalibrationError, InputError, did_you_mean
 from tumble.inference.estimate import GroupFinding
 from tumble.inference.prediction import Prediction
 from tumble.recording.session import AutopilotSensor
@@ -148,12 +148,13 @@ class CalibrationData(Mapping[str, Parameter]):
         for parameter in self.parameters:
             if parameter.name == name:
                 return parameter
-        names = ", ".join(self)
-        raise KeyError(
-            f"no parameter {name!r}; there are {names}"
-            if names
-            else f"no parameter {name!r}: not calibrated: {'; '.join(self.outcome.reasons)}"
-        )
+        if not self.parameters:
+            raise KeyError(f"no parameter {name!r}: not calibrated: {'; '.join(self.outcome.reasons)}")
+        raise KeyError(f"no parameter {name!r}" + (did_you_mean(name, self) or f"; there are {', '.join(self)}"))
+
+    def __contains__(self, name: object) -> bool:
+        """Return True if there is a parameter of that name."""
+        return any(parameter.name == name for parameter in self.parameters)
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names of the parameters."""

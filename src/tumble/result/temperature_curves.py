@@ -22,22 +22,6 @@ from tumble.units import Array
 _LEAST_SPAN = 0.05  # K, least span of temperatures of rests that determines coefficients
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Range:
-    """Lowest and highest temperature of a rest, °C."""
-
-    low: float
-    high: float
-
-    def temperatures(self, count: int = 201) -> Array:
-        """Return temperatures (count,), °C, equally spaced from end to end."""
-        return np.linspace(self.low, self.high, count)
-
-    def __str__(self) -> str:
-        """Return both ends to a tenth of a degree."""
-        return f"{self.low:.1f} to {self.high:.1f} °C"
-
-
 def rests_with_temperature(calibration: CalibrationData) -> list[RestResult]:
     """Return the rests of all launches that have a temperature."""
     rests = chain(calibration.evidence.rests, *(launch.rests for launch in calibration.evidence.launches))
@@ -64,12 +48,10 @@ def thermometer_notes(calibration: CalibrationData) -> list[str]:
     return [sentence]
 
 
-def measured_range(calibration: CalibrationData) -> Range | None:
-    """Return the range of temperatures of the rests of all launches; None without temperatures or a range."""
+def measured_range(calibration: CalibrationData) -> tuple[float, float] | None:
+    """Return the lowest and highest temperature, °C, of the rests of all launches; None without them or a range."""
     span = calibration.temperature_range
-    if span is None or span[1] - span[0] < _LEAST_SPAN:
-        return None
-    return Range(low=span[0], high=span[1])
+    return None if span is None or span[1] - span[0] < _LEAST_SPAN else span
 
 
 def thermal_parameters(calibration: CalibrationData) -> tuple[str, ...]:
@@ -81,15 +63,13 @@ def thermal_parameters(calibration: CalibrationData) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Curve:
-    """Values (N,) of a parameter over temperatures (N,), °C, with expanded uncertainty U (N,) and its degrees of
-    freedom (N,). U is None without a covariance, or if the degrees of freedom are too few anywhere."""
+    """Values (N,) of a parameter over temperatures, with expanded uncertainty U (N,), None without a covariance or
+    where the degrees of freedom are too few anywhere."""
 
     name: str
     unit: str
-    temperature: Array
     value: Array
     expanded: Array | None
-    degrees: Array | None = None
 
 
 def temperature_curve(calibration: CalibrationData, name: str, temperature: Array) -> Curve:
@@ -100,7 +80,7 @@ def temperature_curve(calibration: CalibrationData, name: str, temperature: Arra
     warmer = temperature - reference_of_parameter(calibration, name)
     P = np.stack([warmer**d for d, _ in terms], axis=1)
     members = [i for _, i in terms]
-    parameters, expanded, degrees = [calibration.parameters[i] for i in members], None, None
+    parameters, expanded = [calibration.parameters[i] for i in members], None
     if calibration.covariance is not None:
         # Welch–Satterthwaite (JCGM 100:2008, G.4.1), but at least the fewest degrees of freedom of a parameter, as for
         # independent parameters: it fails for anticorrelated ones, whose sum is known better than each of them. U is
@@ -122,8 +102,6 @@ def temperature_curve(calibration: CalibrationData, name: str, temperature: Arra
     return Curve(
         name=name,
         unit=units_of([name])[0],
-        temperature=temperature,
         value=P @ np.array([p.value for p in parameters]),
         expanded=expanded,
-        degrees=degrees,
     )

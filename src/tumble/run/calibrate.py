@@ -15,6 +15,7 @@ from typing import Any, Literal, Unpack, get_args
 import numpy as np
 
 from tumble import __version__
+from tumble.advice import Advised, advised, found_in, remedy_of
 from tumble.arguments import checked
 from tumble.diagnosis import linear_model
 from tumble.diagnosis.level_faces import with_common_tilt
@@ -62,9 +63,9 @@ def _imported(module: str, name: str) -> Callable[..., Estimate]:
 
 
 METHODS: Mapping[str, Callable[..., Estimate]] = {"joint": joint, "ellipsoid": _imported("ellipsoid", "ellipsoid")}
-UNSCALED = (
-    "[log.gyro] states no scale for its counts: the accelerometers are calibrated alone; state scale as the data sheet "
-    "has it, and the gyros are too"
+UNSCALED = Advised(
+    "the scale of the counts of the gyros is not stated: the accelerometers are calibrated alone",
+    "state scale in [log.gyro] as the data sheet has it, and the gyros are too",
 )
 ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
     name: _imported("paper.four_stages", name.replace("-", "_")) for name in ("sequential", "scalar", "scalar-nominal")
@@ -183,7 +184,8 @@ def calibrate(
         outcome = _calibrated(whole, method, estimator, frame, terms, progress, prior, base_calibration).outcome
     except InputError as error:  # more rests than positions in the programme, for example after a knock
         outcome = Outcome(reasons=(str(error),))
-    note = f"with what was left out: {': '.join(filter(None, [outcome.verdict, '; '.join(outcome.reasons)]))}"
+    reasons = "; ".join(map(found_in, outcome.reasons))
+    note = f"with what was left out: {': '.join(filter(None, [outcome.verdict, reasons]))}"
     by_choice = tuple(kind for kind in accepted_kinds(calibration) if not outcome.of(kind))
     remark = f"accepted only without what was left out, and u does not include the effect of this choice; {note}"
     return _with(calibration, remarks={remark: by_choice}) if by_choice else _with(calibration, notes=(note,))
@@ -240,7 +242,8 @@ def _calibrated(
                 accel_only = build_calibration(session, *accel_result, systematic, frame, provenance, bridged)
                 if accel_only.outcome.accel.accepted and accel_only.accel is not None:
                     reasons = calibration.outcome.gyro.reasons
-                    because = (f"{reason}; the accelerometers are estimated alone" for reason in reasons)
+                    alone = "the accelerometers are estimated alone"
+                    because = (advised(f"{found_in(each)}; {alone}", remedy_of(each)) for each in reasons)
                     result, calibration, faults = accel_result, accel_only, (*because, *faults)
         estimate, used = result
         little = unused_quiet_time(observed.segmentation, in_motion=used.links is not None)
@@ -327,7 +330,8 @@ def with_grade(session: Session, observations: Observations) -> Observations:
     sheet, noise = session.device.prior, grade_named(grade).noise
     sizes, usual = prior_sizes(grade, sheet), usual_sizes(grade)
     note = f"errors other than bias, scale factor and axis angles have the size usual for the grade {grade}"
-    origin = f", guessed from {guessed_from}; state another as [device] grade" if guessed_from else ""
+    if guessed_from:
+        note = Advised(f"{note}, guessed from {guessed_from}", "state another as [device] grade")
     basis = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
     return replace(
         observations,
@@ -336,7 +340,7 @@ def with_grade(session: Session, observations: Observations) -> Observations:
         too_small=size_factors(grade, sizes, sheet, guessed=bool(guessed_from)),
         in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
         drift={kind: usual[f"{kind}.bias.drift"] for kind in ("accel", "gyro") if f"{kind}.bias.drift" not in sizes},
-        notes=(*observations.notes, note + origin),
+        notes=(*observations.notes, note),
     )
 
 
@@ -378,14 +382,16 @@ def estimate_observations(
             notes += prior_notes
         grade, guessed_from = grade_of(session, observations)
         if session.device.grade is not None and guessed_from:
-            remark = (
-                f"[device] grade is {session.device.grade!r}, but by {guessed_from} the device is of the grade "
-                f"{grade}, whose usual sizes are taken: state its grade, or look for what disturbed the recording"
+            remark = Advised(
+                f"the stated grade is {session.device.grade!r}, but by {guessed_from} the device is of the grade "
+                f"{grade}, whose usual sizes are taken",
+                "state its grade in [device], or look for what disturbed the recording",
             )
             estimate = replace(estimate, remarks=(*estimate.remarks, remark))
         estimate = with_common_tilt(estimate, observations)
     except np.linalg.LinAlgError as error:
-        broken = f"the estimate broke down ({error}): the data contradict the model; look at them with `tumble inspect`"
+        broken = f"the estimate broke down ({error}): the data contradict the model"
+        broken = Advised(broken, "look at them with `tumble inspect`")
         return Outcome(reasons=(one_attitude(observations) or broken,))
     return estimate, replace(observations, notes=notes)
 
@@ -396,19 +402,15 @@ def assumptions(session: Session) -> tuple[str, ...]:
     by_clock = clock_effects(log.time_base_u, log.increments)
     mm = f"{1e3 * site.gravity_u:.2g} mm/s²"
     if site.assumed == "height":
-        sentences.append(
-            f"{_HEIGHT}: gravity is that of sea level, with {mm} for heights of 1300 m in u of "
-            "accel.scale; state height_m in [site] (--height), or gravity"
-        )
+        found = f"{_HEIGHT}: gravity is that of sea level, with {mm} for heights of 1300 m in u of accel.scale"
+        sentences.append(Advised(found, "state height_m in [site] (--height), or gravity"))
     elif site.assumed == "digits" and site.gravity_u:
-        sentences.append(f"{_DIGITS}, with {mm} in u of accel.scale; state gravity_u in [site]")
+        sentences.append(Advised(f"{_DIGITS}, with {mm} in u of accel.scale", "state gravity_u in [site]"))
     if log.clock_u is None and by_clock:
         clock = "time stamps of a crystal" if log.rate is None else "a sample rate without time stamps"
         size = f"{1e6 * log.time_base_u:.0f} ppm" if log.rate is None else f"{1e2 * log.time_base_u:.0f} %"
-        sentences.append(
-            f"{_TIME_BASE}: {size}, usual for {clock}, is in u of "
-            f"{' and '.join(by_clock)}; state clock_ppm_u in [log], 0 where it is exact"
-        )
+        found = f"{_TIME_BASE}: {size}, usual for {clock}, is in u of {' and '.join(by_clock)}"
+        sentences.append(Advised(found, "state clock_ppm_u in [log], 0 where it is exact"))
     return (*sentences, *(f"doubt: {doubt}" for doubt in log.doubts))
 
 

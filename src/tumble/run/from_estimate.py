@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tumble.advice import Advised
 from tumble.diagnosis.undetermined import faces_alone
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
@@ -347,9 +348,9 @@ def _fit_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
     is_turn = turns.duration > 0.0  # and not the step between two parts of a rest
     rates = np.sqrt(about.moments.body_rates[is_turn][:, [0, 3, 5]].sum(axis=1) / turns.duration[is_turn])
     if len(rates) and rates.max() < ONE_RATE * rates.min():
-        yield (
-            f"all turns have about {rates.mean() / DEGREE:.2g} °/s: the scale factors of the gyros hold at this rate; "
-            "for others turn at a second rate too, or state gyro_cubic in [device.prior]"
+        yield Advised(
+            f"all turns have about {rates.mean() / DEGREE:.2g} °/s: the scale factors of the gyros hold at this rate",
+            "for others turn at a second rate too, or state gyro_cubic in [device.prior]",
         )
 
 
@@ -360,10 +361,10 @@ def temperature_notes(estimate: Estimate, observations: Observations) -> Iterato
         records = [] if observations.thermometers is None else observations.thermometers.files.values()
         change = max((float(np.ptp(record, axis=0).max()) for _, record in records), default=0.0)
         if change > RAMP_RANGE:
-            yield (
+            yield Advised(
                 f"temperature changed by {change:.1f} K in motion: biases are followed in time, but how scale factors "
-                "and axes change with it is not in u; let the device warm up before, or put it down in nine or more "
-                "positions"
+                "and axes change with it is not in u",
+                "let the device warm up before, or put it down in nine or more positions",
             )
         return
     yield from _lag_notes(estimate, observations)
@@ -375,33 +376,36 @@ def temperature_notes(estimate: Estimate, observations: Observations) -> Iterato
 
     yield f"temperatures of the rests: {span(kelvin)}; beyond them nothing was measured"
     if not over_a_range(observations):
-        yield (
+        yield Advised(
             f"temperatures span {np.ptp(kelvin):.1f} K, less than {OVER_TEMPERATURE:.0f}: coefficients over "
-            "temperature have mostly their usual sizes; take sessions at temperatures further apart"
+            "temperature have mostly their usual sizes",
+            "take sessions at temperatures further apart",
         )
         return
     thermal = [group for group in estimate.groups if variable_of(group.name) in THERMAL]
     unseen = [group.name for group in thermal if not group.kept]
     if at_two_temperatures(observations):
-        yield (
+        yield Advised(
             "coefficients t2 have their usual sizes, which are in u of biases and scale factors at the reference "
-            "temperature: two temperatures show slopes and no curvature; take a third between them"
+            "temperature: two temperatures show slopes and no curvature",
+            "take a third between them",
         )
     elif unseen:
-        yield f"not determined: {', '.join(unseen)}; turn at more temperatures, each axis up and down"
+        yield Advised(f"not determined: {', '.join(unseen)}", "turn at more temperatures, each axis up and down")
     if turns is not None and (turns.duration > 0.0).any():  # only turns show scale factors of gyros
         is_turn = turns.duration > 0.0
         turned = kelvin[np.concatenate([turns.first[is_turn], turns.last[is_turn]])]
         if np.ptp(turned) < 0.5 * np.ptp(kelvin):
-            yield (
-                f"turns span {span(turned)} only: beyond that the change of scale factors has its usual size; turn "
-                "at the other temperatures too"
+            yield Advised(
+                f"turns span {span(turned)} only: beyond that the change of scale factors has its usual size",
+                "turn at the other temperatures too",
             )
     lags = [float(estimate.u[estimate.names.index(name)]) for name in LAGS if name in estimate.names]
     if lags and not ramps_up_and_down(observations):
-        yield (
+        yield Advised(
             f"the temperature only rose or only fell: lags behind the thermometer are known to {max(lags):.0f} s "
-            "only, and hysteresis, not determined, is in u with its usual size; ramp up and down in one recording"
+            "only, and hysteresis, not determined, is in u with its usual size",
+            "ramp up and down in one recording",
         )
 
 
@@ -420,10 +424,11 @@ def _lag_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
         bias = [i for i, n in enumerate(estimate.names) if group_name(n) == f"{kind}.bias"]
         if np.any(by_lag[bias] > 0.5 * estimate.u[bias] ** 2):
             u = float(estimate.u[estimate.names.index(name)])
-            yield (
+            yield Advised(
                 f"the lag of the {sensors} behind their thermometer is known to {u:.0f} s only, which is most of u of "
-                f"{kind}.bias; let the device warm up before, ramp up and down in one recording, or state {kind}_lag "
-                "in [device.prior]"
+                f"{kind}.bias",
+                f"let the device warm up before, ramp up and down in one recording, or state {kind}_lag in "
+                "[device.prior]",
             )
         elif np.all(np.abs(estimate.values[slopes]) < SIGNIFICANT_SLOPE * estimate.u[slopes]):
             yield f"no change of the {sensors} with temperature is significant over {np.ptp(kelvin):.1f} K"

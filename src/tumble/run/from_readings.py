@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 import scipy
 
+from tumble.advice import Advised, advised, found_in, remedy_of
 from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.diagnosis.level_faces import UPRIGHT, with_common_tilt
@@ -244,7 +245,7 @@ def _check_lengths(table: ReadingsTable, nominal: Nominal) -> None:
 
 
 def _site(nominal: Nominal) -> Site:
-    return Site(latitude=None, height=0.0, gravity=nominal.gravity, gravity_u=nominal.gravity_u or 0.0)
+    return Site(latitude=None, height=None, gravity=nominal.gravity, gravity_u=nominal.gravity_u or 0.0)
 
 
 def _rests(table: ReadingsTable, nominal: Nominal, covariance: Array) -> Observations:
@@ -286,10 +287,12 @@ def _estimated(
         {name: size for name, size in prior_sizes(each).items() if name in REST_GROUPS}
         for each in (GRADES if grade is None else [grade])
     ]
-    sizes = f"usual for the grade {grade}" if grade is not None else "usual for any grade (--grade states one)"
-    note = (
-        f"quadratic and cubic terms and asymmetry and drift of the sizes {sizes} are in u as far as the residuals "
-        "allow; the values take them as zero, and --terms linear leaves them out of u"
+    sizes = "any grade" if grade is None else f"the grade {grade}"
+    note = advised(
+        f"quadratic and cubic terms and asymmetry and drift of the sizes usual for {sizes} are in u as far as the "
+        "residuals allow; the values take them as zero",
+        "" if grade is not None else "--grade states one grade",
+        "--terms linear leaves them out of u",
     )
     is_outlier = ~fit.used
     is_outlier[list(fit.doubtful)] = True
@@ -358,12 +361,13 @@ def _reasons(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Itera
 def _remarks(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> Iterator[str]:
     """Return remarks on a fit that may be accepted."""
     if SCATTER_REMARK < fit.scatter / nominal.gravity <= _limit(table, fit):
-        yield f"{_scatter(table, nominal, fit)}; u has it"
+        scatter = _scatter(table, nominal, fit)
+        yield advised(f"{found_in(scatter)}; u has it", remedy_of(scatter))
     if len(table.values) >= RECORDING_ROWS and table.rows == 1:
-        yield (
+        yield Advised(
             f"{len(table.values)} rows count as positions at rest: neighbouring rows of a recording have common "
-            "errors, and a moving device reads its own motion, which u does not include; take a log with `tumble "
-            "calibrate`"
+            "errors, and a moving device reads its own motion, which u does not include",
+            "take a log with `tumble calibrate`",
         )
 
 
@@ -379,9 +383,10 @@ def _scatter(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit) -> str:
     suspects, look = () if fit.worst is None else (fit.worst.position, *fit.worst.rivals), ""
     if fit.worst is not None and len(suspects) <= MOST_SUSPECTS and fit.worst.scatter < 0.5 * fit.scatter:
         without = f"{fit.worst.scatter / size:.3g} {unit}"
-        look = f"; look first at position {_named(table, sorted(suspects))}, without which it would be {without}"
+        look = f"look first at position {_named(table, sorted(suspects))}, without which it would be {without}"
     limit = nominal.gravity * (SCATTER_LIMIT if SCATTER_LIMIT * nominal.gravity < fit.scatter else SCATTER_REMARK)
-    return f"the positions scatter by {fit.scatter / size:.3g} {unit}, more than {limit / size:.3g} {unit}{look}"
+    found = f"the positions scatter by {fit.scatter / size:.3g} {unit}, more than {limit / size:.3g} {unit}"
+    return advised(found, look)
 
 
 def _sigmas(probability: float, table: ReadingsTable) -> float:
@@ -412,22 +417,25 @@ def _notes(table: ReadingsTable, nominal: Nominal, fit: EllipsoidFit | None) -> 
     """Return notes on gravity, scale and polarity, and on a fit without redundancy."""
     u = nominal.gravity_u
     if u is None:
-        yield (
+        yield Advised(
             "gravity is not stated: the unit is g at the place of the readings, printed as 9.80665 m/s^2; u does not "
-            "include the difference, up to 0.3 %. For values in m/s^2 give --gravity and --gravity-u"
+            "include the difference, up to 0.3 %",
+            "for values in m/s^2 give --gravity and --gravity-u",
         )
     elif u == 0.0:
-        yield "gravity is taken as exact, as --gravity-u states"
+        yield "gravity is taken as exact, as stated"
     else:
         yield f"gravity {nominal.gravity:.9g} m/s^2 with u = {u:.2g} m/s^2, in all scale factors"
     if nominal.estimated:
         per, fitting = ", ".join(f"{s:.6g}" for s in nominal.per_unit), fitting_units(np.abs(nominal.scale), UNITS)
-        also = f"; {' or '.join(f'--unit {unit}' for unit in fitting)} would fit" if fitting else ""
-        yield f"no nominal scale was stated: {per} {nominal.unit}/{nominal.per} was taken from the readings{also}"
+        also = f"{' or '.join(f'--unit {unit}' for unit in fitting)} would fit" if fitting else ""
+        yield advised(
+            f"no nominal scale was stated: {per} {nominal.unit}/{nominal.per} was taken from the readings", also
+        )
     if nominal.assumed:
-        yield (
-            f"polarity of {', '.join(nominal.assumed)}: taken as positive, since the readings do not show it; state "
-            "it with --scale or --position"
+        yield Advised(
+            f"polarity of {', '.join(nominal.assumed)}: taken as positive, since the readings do not show it",
+            "state it with --scale or --position",
         )
     negative = [name for name, s in zip(table.columns, nominal.scale, strict=True) if s < 0.0]
     if negative:

@@ -17,6 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from tumble.advice import Advised
 from tumble.earth import EARTH_RATE
 from tumble.errors import InputError
 from tumble.inference.estimate import Outcome
@@ -149,7 +150,7 @@ def calibrate_gyros(rests: GyroRests) -> Calibration:
             readings={"gyro": readings_of_session(session)["accel"]},
             absent=(absent,),
             assumptions=(
-                f"{absent}; to have them {WHAT_TO_RECORD}",
+                Advised(absent, f"to have them {WHAT_TO_RECORD}"),
                 "the directions of the Earth's rate and of gravity are not known: u of gyro.bias includes both, "
                 f"gravity by the g-sensitivity usual for the grade {grade}",
                 *(f"doubt: {doubt}" for doubt in session.log.doubts),

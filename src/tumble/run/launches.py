@@ -2,7 +2,7 @@
 
 The covariance of the mean of L launches is the mean of their covariances over L; on the diagonal it is the variance
 from launch to launch over L where that is larger. Errors of gravity, priors and the time base are common to all
-launches: they are separated first and do not average out (`tumble.result.coverage`).
+launches: they are separated first, do not average out, and are added to either (`tumble.result.coverage`).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any, TypeVar, get_args
 import numpy as np
 import scipy
 
+from tumble.advice import Advised, prefixed
 from tumble.arguments import checked
 from tumble.diagnosis.findings import Finding, outcome_of
 from tumble.errors import InputError
@@ -170,7 +171,7 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
     by_name = dict(zip(names, mean.tolist(), strict=True))
     findings = [
         Finding(
-            sentence=f"{run.name}: {sentence}",
+            sentence=prefixed(f"{run.name}: ", sentence),
             concerns=outcome.concerns.get(sentence, ()),
             refuses=sentence in outcome.reasons,
             unsteady=sentence in outcome.unsteady,
@@ -326,11 +327,12 @@ def _differing_launches(
     chance *= len(tested)
     if chance < DIFFERING_CHANCE:
         size, unit = shown_in(p.name, p.unit, spread_of(TURN_ON[grade], p.name))
-        sentence = (
+        sentence = Advised(
             f"the launches differ by more than power-ons and noise of one device: {p.name} has a standard deviation of "
             f"{two_digits((p.run_to_run or 0.0) / size)} {unit} from launch to launch, {ratio**0.5:.1f} times what is "
             f"usual for the grade {grade} (by chance with probability {chance:.1g}): they are of different devices, or "
-            "the device was changed or much warmer in between; calibrate each launch alone"
+            "the device was changed or much warmer in between",
+            "calibrate each launch alone",
         )
         yield Finding(sentence=sentence, unsteady=chance < UNSTEADY_CHANCE)
 
@@ -427,7 +429,7 @@ def _notes(runs: Sequence[LaunchRun], names: list[str]) -> Iterator[str]:
         for note in run.calibration.provenance.notes:
             launches_by_note.setdefault(note, []).append(run.name)
     for note, launches in launches_by_note.items():
-        yield f"{'every launch' if len(launches) == len(runs) else ', '.join(launches)}: {note}"
+        yield prefixed(f"{'every launch' if len(launches) == len(runs) else ', '.join(launches)}: ", note)
     missing = positions_by_group(name for run in runs for name in run.calibration if name not in names)
     if missing:
         yield f"left out of the mean, not known of every launch: {', '.join(missing)}"

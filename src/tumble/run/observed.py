@@ -15,6 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from tumble.advice import Advised
 from tumble.arguments import checked
 from tumble.brief import Judged
 from tumble.diagnosis.carried_vertical import vertical_faults
@@ -304,7 +305,7 @@ def _in_motion(observed: Observed) -> Observations | None:
     spans, notes, links = match.rests, tuple[str, ...](), links_of(reduction, match.rests)
     trembling = [reduction.by_file[span.file].gyro.means[span.first : span.last].var(axis=0).mean() for span in spans]
     if links and spans and np.median(trembling) > TREMOR**2 + 2.0 * links.gyro_density / reduction.block_seconds:
-        notes = (f"held in the hand in {len(spans)} pauses, which are no rests; put it down in them",)
+        notes = (Advised(f"held in the hand in {len(spans)} pauses, which are no rests", "put it down in them"),)
         spans, links = (), links_of(reduction, ())
     if links is None or links.duration.sum() < SHORTEST_MOTION:
         return None

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from tumble.advice import Advised, prefixed
 from tumble.arguments import checked
 from tumble.errors import InputError
 from tumble.files import FilePath
@@ -90,7 +91,7 @@ def calibrate_together(
                     f"{name}: expected rests, found a device in motion; calibrate such sessions as launches, without "
                     "--together: the result is their mean"
                 )
-            faults += [f"{name}: {reason}" for reason in parts.reasons]
+            faults += [prefixed(f"{name}: ", reason) for reason in parts.reasons]
             continue
         rests, turns = parts[0].rests, parts[0].turns
         celsius = np.full(1, np.nan) if rests.temperature is None else rests.temperature - ZERO_CELSIUS
@@ -119,7 +120,8 @@ def calibrate_together(
     clock = max(turned or [session.log for session in described], key=lambda log: log.time_base_u)
     first = replace(first, log=replace(first.log, clock_u=clock.clock_u))
     if any(session.log.magnetometer is not None for session in described):
-        note = "magnetometer: several sessions in one estimate leave it out; calibrate one alone for hard and soft iron"
+        note = "magnetometer: several sessions in one estimate leave it out"
+        note = Advised(note, "calibrate one alone for hard and soft iron")
         joint_observations = replace(joint_observations, notes=(*joint_observations.notes, note))
     estimate = estimate_observations(first, joint_observations, joint, systematic, "full")
     if isinstance(estimate, Outcome):

@@ -38,6 +38,7 @@ from dataclasses import replace
 import numpy as np
 import scipy
 
+from tumble.advice import Advised
 from tumble.errors import InputError
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
@@ -229,7 +230,7 @@ def _nominal(session: Session, estimate: Estimate, observations: Observations) -
     absent = f"{', '.join(dict.fromkeys(map(group_name, missing)))}: not shown at rest, taken as 0"
     provenance = Provenance(
         absent=(absent,),
-        assumptions=(f"{absent}; tumble calibrate LOG --base FILE.json takes them from a calibration",),
+        assumptions=(Advised(absent, "tumble calibrate LOG --base FILE.json takes them from a calibration"),),
     )
     nothing = refused_calibration(session, "joint", Outcome(unobservable=missing), provenance)
     return replace(
@@ -379,16 +380,17 @@ def _notes(estimate: Estimate, observations: Observations, base: Calibration | N
             i = estimate.names.index(name)
             yield f"the {sensors} are {estimate.values[i]:z.0f} s behind their thermometer, u {estimate.u[i]:.0f} s"
     if not any(variable_of(name) == "hysteresis" for name in estimate.names):
-        yield (
-            "the temperature only rose or only fell: hysteresis is not determined, and not in u; let the device warm "
-            "and cool in one recording"
+        yield Advised(
+            "the temperature only rose or only fell: hysteresis is not determined, and not in u",
+            "let the device warm and cool in one recording",
         )
     if base is None and observations.gyro_block is not None:
         yield "u of gyro.bias includes gravity, by the g-sensitivity that is usual for the grade"
     if one_direction(observations.rests.accel):
-        yield (
+        yield Advised(
             "in one attitude a change of the scale factor of an accelerometer looks like one of its bias: the result "
-            "is right in this attitude, and u includes the usual difference in others; record another attitude too"
+            "is right in this attitude, and u includes the usual difference in others",
+            "record another attitude too",
         )
 
 
@@ -396,12 +398,14 @@ def _assumptions(observations: Observations, base: Calibration | None, doubts: I
     yield from (f"doubt: {doubt}" for doubt in doubts)
     span = float(np.ptp(_kelvin(observations), axis=0).max())
     if span < WIDE:
-        yield (
+        yield Advised(
             f"the temperatures span {span:.1f} K, less than {WIDE:.0f}: curvatures have their usual sizes, and beyond "
-            "these temperatures the result is hardly valid; warm or cool the device through those of its use"
+            "these temperatures the result is hardly valid",
+            "warm or cool the device through those of its use",
         )
     if base is not None and base.reference_temperature is None:
-        yield (
+        yield Advised(
             f"the calibration of {base.serial} does not state its temperature: any of this recording is assumed, "
-            "which is in u of its biases; calibrate a recording with its thermometer"
+            "which is in u of its biases",
+            "calibrate a recording with its thermometer",
         )

@@ -74,14 +74,15 @@ class ParameterGroup:
 
     `unit`: SI unit. `words`: name in reports. `suffixes`: names of its parameters for a block, behind the name of the
     group or another `stem`. `limit`: largest plausible deviation from nominal, SI. `shown`: units in which it is shown,
-    (size in SI, name), the smallest first. `usual`: standard deviation over instruments by grade. It is the prior of
-    further groups; for bias, scale factor and axes, whose prior is `limit`, it serves plans and simulations. A grade
-    that is missing has the group only if a data sheet states it. `regressors`: None for bias, scale and axis angles,
-    whose derivative is `Block.jacobian`, for groups with a `motion`, and for changes. `motion`: effect on a turn, if
-    there is none on a rest. `base`, `variable`: for a change of another group, that group and what it is proportional
-    to; a lag has no base. `sized_with`: a group that rests hardly separate from it; one factor enlarges both. `source`:
-    of the usual size in MEMS instruments (those of tactical and navigation instruments are from data sheets, and never
-    larger than that of a poorer grade)."""
+    (size in SI, name), the smallest first. `usual`: standard deviation over instruments by grade, in the order of the
+    grades in the file. It is the prior of further groups, which an estimate may widen but not narrow; for bias, scale
+    factor and axes, whose prior is `limit`, it serves plans and simulations. A grade that is missing has the group only
+    if a data sheet states it. `regressors`: None for bias, scale and axis angles, whose derivative is `Block.jacobian`,
+    for groups with a `motion`, and for changes. `motion`: effect on a turn, if there is none on a rest. `base`,
+    `variable`: for a change of another group, that group and what it is proportional to; a lag has no base.
+    `sized_with`: a group that rests hardly separate from it; one factor enlarges both. `source`: of the usual size in
+    MEMS instruments (those of tactical and navigation instruments are from data sheets, and never larger than that of a
+    poorer grade)."""
 
     name: str
     kind: SensorKind

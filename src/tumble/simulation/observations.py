@@ -25,8 +25,7 @@ import numpy.typing as npt
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
-from tumble.planning.itinerary import Itinerary
-from tumble.planning.steady_turns import inertial_turns, white_turns
+from tumble.planning.itinerary import Itinerary, inertial_turns, white_turns
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
@@ -173,8 +172,11 @@ def _turns(
     spread = np.trace(to_force @ to_force.T) / 3.0
     step = np.linalg.norm(vector, axis=1) / SAMPLES
     floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.setup.gravity * T * step**3
-    covariance = gyro.white**2 * T[:, None, None] * _mean_rotated(vector, to_body @ to_body.T)
-    covariance = covariance + TURN_FLOOR**2 * np.eye(3)
+    density = to_body @ to_body.T
+    if not np.allclose(density, density[0, 0] * np.eye(3), rtol=1e-12, atol=0.0):
+        path = rotation_matrix(((np.arange(SAMPLES) + 0.5) / SAMPLES)[:, None, None] * vector)
+        density = (path @ density @ np.swapaxes(path, -1, -2)).mean(axis=0)
+    covariance = gyro.white**2 * T[:, None, None] * density + TURN_FLOOR**2 * np.eye(3)
     turns = white_turns(first, T, covariance, accel.white**2 * T * spread + floor**2)
     variance = gyro.white**2 * T + TURN_FLOOR**2
     integrals = TurnReadings(
@@ -243,12 +245,3 @@ def _spectral(axis: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     along = axis[:, :, None] * axis[:, None, :]
     across, turned = 0.5 * (np.eye(3) - along), 0.5j * skew(axis)
     return across + turned, np.asarray(along, dtype=complex), across - turned
-
-
-def _mean_rotated(vector: Array, density: Array) -> Array:
-    """Return the mean of R N Rᵀ (K, 3, 3) over turns by rotation vectors (K, 3), for a density N (3, 3)."""
-    if np.allclose(density, density[0, 0] * np.eye(3), rtol=1e-12, atol=0.0):
-        return np.broadcast_to(density, (len(vector), 3, 3))
-    middle = (np.arange(SAMPLES) + 0.5) / SAMPLES
-    path = rotation_matrix(middle[:, None, None] * vector)
-    return np.asarray((path @ density @ np.swapaxes(path, -1, -2)).mean(axis=0))

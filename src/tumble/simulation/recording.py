@@ -135,7 +135,13 @@ def _in_move(
     n, earth = move / total if total > 0.0 else UP, np.array(earth_rate(scenario.setup.latitude))
     whole = math.floor(start * fs)  # time within the move is counted in samples, for precision late in a log
     passed = (first - whole) - (start * fs - whole)
-    panels = _panels(scenario, total, passed, last - first)
+    # panels end with every sample, every quarter of a cycle of the vibration, and the ramps
+    per_sample, T = 1, profile.duration(total)
+    if vibration.amplitude > 0.0:
+        per_sample += math.ceil(_PANELS_PER_CYCLE * vibration.frequency / fs)
+    kinks = np.array([0.0, profile.ramp, T - profile.ramp, T]) * fs - passed
+    inside = kinks[(kinks > 0.0) & (kinks < last - first)]
+    panels = np.unique(np.concatenate([np.arange((last - first) * per_sample + 1) / per_sample, inside]))
     nodes = panels[:-1, None] + np.diff(panels)[:, None] * _NODES
     theta = profile.angle((nodes + passed) / fs, total)
     rate, change = (each[..., None] for each in profile.rates((nodes + passed) / fs, total))
@@ -165,16 +171,3 @@ def _turning(n: Array, vector: Array) -> Array:
     """Return rows a, b, c with Rᵀ vector = a + b cos θ + c sin θ for the rotation R by θ about n."""
     along = n * (n @ vector)
     return np.stack([along, vector - along, -np.cross(n, vector)])
-
-
-def _panels(scenario: Scenario, total: float, passed: float, samples: int) -> Array:
-    """Return the ends of the quadrature panels of a piece of a move, in samples from its start: those of every sample,
-    of quarters of the vibration's cycle, and of the ramps."""
-    profile, vibration = scenario.profile, scenario.vibration
-    per_sample = 1
-    if vibration.amplitude > 0.0:
-        per_sample += math.ceil(_PANELS_PER_CYCLE * vibration.frequency / scenario.setup.sample_rate)
-    T = profile.duration(total)
-    kinks = np.array([0.0, profile.ramp, T - profile.ramp, T]) * scenario.setup.sample_rate - passed
-    inside = kinks[(kinks > 0.0) & (kinks < samples)]
-    return np.unique(np.concatenate([np.arange(samples * per_sample + 1) / per_sample, inside]))

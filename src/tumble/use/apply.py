@@ -88,9 +88,17 @@ def apply_to_session(
     calibration, session, path = accepted_part(calibration_from(calibration)), session_from(session), Path(out)
     session.check_new(path, force=force)
     inputs = _input_channels(calibration, session)
-    outputs = {
-        kind: _output_channels(kind, each) for kind, each in inputs.items() if getattr(calibration, kind) is not None
-    }
+    outputs = {kind: channels for kind, channels in inputs.items() if getattr(calibration, kind) is not None}
+    for kind, channels in outputs.items():  # in the unit that the names of the columns state, else in SI
+        if {unit_of_name(kind, column) for column in channels.columns} != {channels.unit_name}:
+            sensors, (rate, increment) = len(channels.columns), SI.get(kind, (channels.unit_name,) * 2)
+            outputs[kind] = replace(
+                channels,
+                unit=Unit(factor=1.0, kind=channels.unit.kind),
+                unit_name=increment if channels.unit.kind == "increment" else rate,
+                scale=np.ones(sensors),
+                offset=np.zeros(sensors),
+            )
     log = open_log(session)
     headerless = path.suffix == ".csv" and session.log.dialect is not None and not session.log.dialect.header
     write_tables(path, _corrected_tables(session, calibration, inputs, outputs, 1.0 / log.rate), header=not headerless)
@@ -157,20 +165,6 @@ def _input_channels(calibration: Calibration, session: Session) -> dict[str, Cha
             )
         inputs["mag"] = log.magnetometer
     return inputs
-
-
-def _output_channels(kind: str, channels: Channels) -> Channels:
-    """Return the corrected channels: in the log's unit, scale and offset if their names state the unit, else in SI."""
-    if {unit_of_name(kind, column) for column in channels.columns} == {channels.unit_name}:
-        return channels
-    sensors, (rate, increment) = len(channels.columns), SI.get(kind, (channels.unit_name,) * 2)
-    return replace(
-        channels,
-        unit=Unit(factor=1.0, kind=channels.unit.kind),
-        unit_name=increment if channels.unit.kind == "increment" else rate,
-        scale=np.ones(sensors),
-        offset=np.zeros(sensors),
-    )
 
 
 def _vector_columns(kind: str, channels: Channels) -> list[str]:

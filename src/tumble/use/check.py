@@ -136,7 +136,15 @@ class FieldCheck(Judged):
     def reasons(self) -> tuple[str, ...]:
         """Sentences on what has changed; empty if the check shows no change."""
         if self.misfit is None:
-            return _rests_beyond(self.rests, self.rest_limit)
+            limit = np.inf if self.rest_limit is None else self.rest_limit
+            judged = [(rest, abs(rest.sigmas)) for rest in self.rests if rest.sigmas is not None]
+            size, unit = engineering("m/s^2", max((abs(rest.difference) for rest, _ in judged), default=0.0))
+            return tuple(
+                f"{rest.label}: g − |f| is {rest.difference / size:+.3g} {unit}, {sigmas:.1f} of its standard "
+                f"uncertainty, expected at most {limit:.1f}"
+                for rest, sigmas in judged
+                if sigmas > limit
+            )
         if self.explained:
             return tuple(change_text(change) for change in self.changes)
         agree = "its rests alone agree with the calibration: its turns, or gyros that drift between rests, do not; "
@@ -163,19 +171,6 @@ def change_text(change: ChangedParameter) -> str:
         size, unit = shown_in(name, group_of(name).unit, value)
         text += f", or {name} by {value / size:+.3g} {unit}"
     return text + f"; by chance with probability {change.probability:.1g} at most"
-
-
-def _rests_beyond(rests: Sequence[CheckedRest], limit: float | None) -> tuple[str, ...]:
-    """Return sentences on the rests whose difference from gravity is beyond the limit."""
-    if limit is None:
-        return ()
-    size, unit = engineering("m/s^2", max((abs(rest.difference) for rest in rests if rest.sigmas), default=0.0))
-    return tuple(
-        f"{rest.label}: g − |f| is {rest.difference / size:+.3g} {unit}, {abs(rest.sigmas):.1f} of its standard "
-        f"uncertainty, expected at most {limit:.1f}"
-        for rest in rests
-        if rest.sigmas is not None and abs(rest.sigmas) > limit
-    )
 
 
 @checked
@@ -226,7 +221,8 @@ def check_calibration(
         labels = [f"position {i} (line {line})" for i, line in enumerate(table.lines, 1)]
         return _gravity_check(str(readings), position_residuals(accepted, rows, table.sha256), label=labels)
     session = session_from(readings)
-    check_session(accepted, session)
+    check_device(accepted, session)
+    check_sensors(accepted, session)
     observed = inspect_session(replace(session, programme=None))
     observations = observations_for_calibration(observed)
     if isinstance(observations, Outcome):
@@ -307,12 +303,6 @@ def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
     if accepted.covariance is None:
         raise CalibrationError(f"calibration of {accepted.serial!r}: expected one with uncertainties, found none")
     return accepted
-
-
-def check_session(calibration: Calibration, session: Session) -> None:
-    """Raise InputError for a session of another device than the calibration's, or of other sensors."""
-    check_device(calibration, session)
-    check_sensors(calibration, session)
 
 
 def _launches(calibration: Calibration, further: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:

@@ -29,15 +29,15 @@ from tumble.reduction.observations import Observations
 from tumble.reduction.rest_stream import RestStream
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.rotation import unit_vector
-from tumble.run.from_estimate import mean_temperature
+from tumble.run.from_estimate import check_sensors, mean_temperature
 from tumble.run.observed import grade_of
 from tumble.sensors.parameters import usual_sizes
 from tumble.units import ZERO_CELSIUS, Array
+from tumble.use.apply import check_device
 from tumble.use.check import (
     CheckedRest,
     FieldCheck,
     accepted_for_check,
-    check_session,
     parameter_test_fields,
     prior_at_check,
 )
@@ -69,14 +69,19 @@ class StreamCheck:
 
     def __init__(self, calibration: Calibration | FilePath, session: Session | FilePath, *, sample_rate: float) -> None:
         accepted, session = accepted_for_check(calibration), session_from(session)
-        check_session(accepted, session)
+        check_device(accepted, session)
+        check_sensors(accepted, session)
         if accepted.gyro is not None and session.gyro_block is None:
             raise InputError(f"{session.name}: expected gyros, which the calibration has, found none")
         self.calibration = accepted.in_frame("accelerometer")
         self.session, self.rate = session, sample_rate
         self.rests, self.moved = list[CheckedRest](), tuple[MovedBias, ...]()
         self._gyro = None if accepted.gyro is None else session.gyro_block
-        self._white, self._ranges = _white_noise(accepted), Ranges.of(accepted)
+        self._ranges, self._white = Ranges.of(accepted), dict[str, Array]()  # densities (n,) of noise, SI/√Hz
+        for kind in ("accel", "gyro"):
+            sensors = (getattr(rest, kind) for rest in accepted.evidence.all_rests)
+            if noise := [each.noise for each in sensors if each is not None]:
+                self._white[kind] = np.sqrt(np.mean(np.square(noise), axis=0))
         thermometers = 1 if session.log.temperature is None else len(session.log.temperature.columns)
         self._stream = Stream(
             self.calibration.compensator,
@@ -109,38 +114,36 @@ class StreamCheck:
         events, dt = list[Event](), 1.0 / self.rate
         cuts = (np.flatnonzero(np.diff(chunk.time) - dt > LONGEST_PAUSE) + 1).tolist()
         for begin, end in pairwise([0, *cuts, len(chunk.time)]):
-            if end > begin:
-                events += self._continuous(chunk.part(slice(begin, end)), dt)
+            if end == begin:
+                continue
+            part = chunk.part(slice(begin, end))
+            first = float(part.time[0])
+            if self._last is not None:
+                file, last = self._last
+                restarted = first < last - CLOCK_RESTART or (part.file != file and first <= last)
+                if restarted or first - dt - last > LONGEST_PAUSE:
+                    events += self.finish()
+                    self._begin()
+                    text = f"nothing came for {first - last:.1f} s; the check goes on"
+                    if restarted:
+                        self._stream.reset()
+                        self._restarted, text = True, "the clock begins anew: taken for another power-on"
+                    events.append(Notice(time=first, text=text))
+            self._last = part.file, float(part.time[-1])
+            corrected = self._stream.add(part.accel, None, part.time, part.temperature)
+            too_warm = corrected.outside["temperature"]
+            if len(too_warm) and too_warm[-1] != self._too_warm:
+                self._too_warm = bool(too_warm[-1])
+                low, high = self._ranges.temperature
+                where = "outside" if self._too_warm else "again within"
+                since = np.flatnonzero(np.append(True, too_warm[1:] != too_warm[:-1]))[-1]
+                text = f"temperature {where} {low:.1f} to {high:.1f} °C, which was calibrated"
+                events.append(Notice(time=float(part.time[since]), text=text))
+            piece = replace(part, file=0, gyro=None if self._gyro is None else part.gyro)
+            if part.temperature is not None:
+                piece = replace(piece, temperature=corrected.temperature.copy())
+            events += map(self._checked, self._finder.feed(piece))
         return events
-
-    def _continuous(self, chunk: Chunk, dt: float) -> list[Event]:
-        """Add samples without an interruption among them."""
-        events, first = list[Event](), float(chunk.time[0])
-        if self._last is not None:
-            file, last = self._last
-            restarted = first < last - CLOCK_RESTART or (chunk.file != file and first <= last)
-            if restarted or first - dt - last > LONGEST_PAUSE:
-                events += self.finish()
-                self._begin()
-                text = f"nothing came for {first - last:.1f} s; the check goes on"
-                if restarted:
-                    self._stream.reset()
-                    self._restarted, text = True, "the clock begins anew: taken for another power-on"
-                events.append(Notice(time=first, text=text))
-        self._last = chunk.file, float(chunk.time[-1])
-        corrected = self._stream.add(chunk.accel, None, chunk.time, chunk.temperature)
-        too_warm = corrected.outside["temperature"]
-        if len(too_warm) and too_warm[-1] != self._too_warm:
-            self._too_warm = bool(too_warm[-1])
-            low, high = self._ranges.temperature
-            where = "outside" if self._too_warm else "again within"
-            since = np.flatnonzero(np.append(True, too_warm[1:] != too_warm[:-1]))[-1]
-            text = f"temperature {where} {low:.1f} to {high:.1f} °C, which was calibrated"
-            events.append(Notice(time=float(chunk.time[since]), text=text))
-        piece = replace(chunk, file=0, gyro=None if self._gyro is None else chunk.gyro)
-        if chunk.temperature is not None:
-            piece = replace(piece, temperature=corrected.temperature.copy())
-        return [*events, *map(self._checked, self._finder.feed(piece))]
 
     def finish(self) -> list[Event]:
         """Return the last rest, at the end of the stream."""
@@ -210,15 +213,6 @@ class StreamCheck:
             **parameter_test_fields(self._chain.result(self.moved)),
             notes=(*self.calibration.provenance.absent, note),
         )
-
-
-def _white_noise(calibration: Calibration) -> dict[str, Array]:
-    """Return the white noise density (n,) of "accel" and "gyro" in the rests of a calibration, SI/√Hz."""
-    by_kind = {
-        kind: [sensors.noise for rest in calibration.evidence.all_rests if (sensors := getattr(rest, kind)) is not None]
-        for kind in ("accel", "gyro")
-    }
-    return {kind: np.sqrt(np.mean(np.square(noise), axis=0)) for kind, noise in by_kind.items() if noise}
 
 
 @checked

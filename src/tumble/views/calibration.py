@@ -11,12 +11,15 @@ import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 
 from tumble.diagnosis.verdict import IN_MOTION, gravity_text
 from tumble.errors import IN_MEMORY, tables_at
+from tumble.export import target
 from tumble.files import FilePath
+from tumble.recording.formats import format_of
 from tumble.reduction.rests.warming import OVER_TEMPERATURE
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
@@ -25,7 +28,7 @@ from tumble.result.further import (
     accepted_groups,
     by_group,
     decided_by_priors,
-    group_lines,
+    further_parameters,
     has_other_factors,
     linear_parameters,
     prediction_text,
@@ -35,7 +38,7 @@ from tumble.result.further import (
 from tumble.result.parts import Parameter
 from tumble.result.unaided import improvement
 from tumble.run.calibrate import ITERATED_METHODS, UNSTATED
-from tumble.sensors.parameters import group_name, within_group
+from tumble.sensors.parameters import group_name, named_group, shown_in, within_group
 from tumble.units import Array, engineering
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.numbers import (
@@ -83,6 +86,7 @@ def calibration_blocks(
     budget: bool = False,
     file: FilePath = "calibration.json",
     session: FilePath = "SESSION",
+    log: FilePath = "LOG",
 ) -> list[Block]:
     """Return the output of `tumble calibrate`: verdict, improvement, parameters, remarks, and the next command.
 
@@ -100,8 +104,8 @@ def calibration_blocks(
         launches, iterations and other methods, and at most MAX_REMARKS remarks, on MAX_LINES lines.
     budget
         Show the uncertainty budget.
-    file, session
-        File of the calibration, and its session.
+    file, session, log
+        File of the calibration, its session, and the log that the session was made of.
     """
     parameters, evidence = calibration.parameters, calibration.evidence
     if not every:
@@ -177,10 +181,11 @@ def calibration_blocks(
         )
     lines += notes_without_expanded(parameters)
     if minor := _minor_assumptions(calibration):
-        lines.append(f"in u, of which it is the smaller part: {'; '.join(minor)}")
+        lines.append(f"smaller parts of u: {'; '.join(minor)}")
     if accepted_kinds(calibration):
-        to = "px4 -o imu.params (ardupilot, " if calibration.imu else "json -o imu.json ("
-        following = f"next: tumble export {shlex.quote(str(file))} --to {to}others: --help)"
+        name, others_of_kind = _export_target(calibration, log)
+        to = f"{name} -o imu{target(name).ending} ({others_of_kind}others: --help)"
+        following = f"next: tumble export {shlex.quote(str(file))} --to {to}"
     else:
         there = "the rests and turns that were found" if evidence.rests else "what was found in the recording"
         following = f"next: tumble inspect {shlex.quote(str(session))} ({there})"
@@ -191,6 +196,20 @@ def calibration_blocks(
 
 
 MAX_LINES, WIDTH, MAX_REMARKS = 24, 100, 3  # lines, characters of a line, remarks without --all
+_TARGETS = {"ardupilot": "ardupilot", "ulog": "px4", "ros": "kalibr"}  # by the format of a recording
+_TARGETS_BY_COLUMN = {"accSmooth[0]": "betaflight", "accelerometer_m_s2[0]": "px4"}  # of decoded logs
+
+
+def _export_target(calibration: Calibration, log: FilePath) -> tuple[str, str]:
+    """Return the export target of the format of a log, "json" for any other log, and words on a second target."""
+    readings = calibration.provenance.readings.get("accel")
+    names = (_TARGETS_BY_COLUMN.get(column) for column in (() if readings is None else readings.columns))
+    name = _TARGETS.get(format_of(Path(log)) or "") or next(filter(None, names), None)
+    if name is None and calibration.imu:  # the recording of an autopilot, converted before
+        return "px4", "ardupilot, "
+    if name == "kalibr" and len(accepted_kinds(calibration)) < 2:
+        return "ros-imu-calib", ""
+    return name or "json", ""
 
 
 def remarks_of(calibration: Calibration) -> tuple[str, ...]:
@@ -304,21 +323,32 @@ def compact_table(parameters: Sequence[Parameter]) -> Table:
 
 
 _PER_ROW = 3  # parameters
+WIDENED = 1.05  # factor of a prior above which it counts as widened
 
 
 def group_table(calibration: Calibration, *, on_page: bool = False) -> Table:
-    """Return a table with a row for each group beyond the linear model: largest |value| with u, fraction learned from
-    the data, and its size if that is unusual; `on_page` also its meaning and prior."""
-    rows = []
-    for line in group_lines(calibration):
-        largest = line.largest
-        value, u = ("", "") if largest is None else cells(abs(largest.value), largest.u, line.size)
-        prior = "" if line.prior is None else significant(line.prior / line.size, 4)
-        row = {"group": line.name} | ({"what it is": line.words} if on_page else {})
-        row |= {"largest": value, "u (k=1)": u} | ({"prior": prior} if on_page else {})
-        rows.append(
-            row | {"unit": line.shown if largest or on_page else "", FROM_DATA: line.learned_percent, "": line.remark}
-        )
+    """Return a table with a row for each group beyond the linear model that the calibration has or tested: largest
+    |value| with u, fraction learned from the data, and its size if that is unusual; `on_page` also its meaning and
+    prior."""
+    findings, rows = {group.name: group for group in calibration.groups}, []
+    members_of = {name: list[Parameter]() for name in findings} | by_group(further_parameters(calibration.parameters))
+    for name, members in members_of.items():
+        finding, entry = findings.get(name), named_group(name)
+        largest = max(members, key=lambda p: abs(p.value), default=None)
+        prior = finding.prior if finding is not None else next((p.prior for p in members if p.prior), None)
+        learned = finding.learned if finding is not None else [p.learned for p in members if p.learned is not None]
+        remark = "not determined" if largest is None else ""
+        if largest is not None and finding is not None and finding.prior_widened > WIDENED:
+            remark = f"{finding.prior_widened:.2g} times the usual size"
+        si = largest.unit if largest is not None else entry.unit if entry is not None else ""
+        size, unit = shown_in(name, si, abs(largest.value) if largest is not None else prior or 0.0)
+        value, u = ("", "") if largest is None else cells(abs(largest.value), largest.u, size)
+        row = {"group": name} | ({"what it is": name if entry is None else entry.words} if on_page else {})
+        row |= {"largest": value, "u (k=1)": u}
+        row |= {"prior": "" if prior is None else significant(prior / size, 4)} if on_page else {}
+        ends = [f"{100.0 * end(learned):.0f}" for end in (min, max)] if learned and largest is not None else []
+        from_data = "–".join(dict.fromkeys(ends)) + " %" * bool(ends)
+        rows.append(row | {"unit": unit if largest or on_page else "", FROM_DATA: from_data, "": remark})
     return table(rows, words=("group", "what it is", "unit", ""), dense=True)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from tumble.campaigns.campaign import SummaryLine, varying
 from tumble.sensors.parameters import shown_in
@@ -15,7 +14,9 @@ def summary_blocks(lines: Sequence[SummaryLine]) -> list[Block]:
     axes, outcomes, errors = varying(lines), [], []
     previous: dict[str, str] = {}
     for line in lines:
-        point = {axis: _axis_value(line.point[axis]) for axis in axes} | {"method": line.method}
+        stated = {axis: value for axis in axes if (value := line.point[axis]) is not None}
+        point = {axis: f"{value:g}" if isinstance(value, float) else str(value) for axis, value in stated.items()}
+        point = dict.fromkeys(axes, "") | point | {"method": line.method}
         if point != previous:
             refused = line.trials - line.accepted - line.failed
             counts = {"trials": line.trials, "accepted": line.accepted, "not accepted": refused, "failed": line.failed}
@@ -30,7 +31,3 @@ def summary_blocks(lines: Sequence[SummaryLine]) -> list[Block]:
         previous = point
     words = ("method", "parameters", "unit")
     return [table(rows, words=words) for rows in (outcomes, errors) if rows]
-
-
-def _axis_value(value: Any) -> str:
-    return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)

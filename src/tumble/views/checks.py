@@ -7,14 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from tumble.inference.estimate import Fit
 from tumble.methods.field_check import CHANCE, ParameterTest
-from tumble.methods.rest_chain import MovedBias
 from tumble.sensors.parameters import group_name, group_of, sensor_kind, shown_in
 from tumble.units import engineering, two_digits
-from tumble.use.check import CheckedRest, FieldCheck, change_text
+from tumble.use.check import CheckedRest, FieldCheck
 from tumble.use.compare import Comparison, Difference
 from tumble.use.stream import Event, Notice
 from tumble.views.blocks import Block, Table, table
-from tumble.views.numbers import cells, probability_text, quantity_table, to_digits_of, units_of_values
+from tumble.views.numbers import Units, cells, probability_text, quantity_table, to_digits_of, units_of_values
 
 MOST_SHOWN = 10
 """Rests in a table, and sentences on them."""
@@ -66,10 +65,28 @@ def check_blocks(check: FieldCheck, *, rests: bool = True) -> list[Block]:
     if rests and compared:
         more = len(check.rests) - MOST_SHOWN
         blocks += [_rest_table(check.rests), *([f"and {more} others with smaller ratios"] if more > 0 else [])]
-        allowed = check.misfit is not None and not check.reasons
-        blocks += [_rest_summary(compared, check.rest_limit, allowed=allowed)]
+        size, unit = engineering("m/s^2", _largest(compared))
+        largest, ratio = max(abs(r.difference) for r in compared), max(abs(r.sigmas or 0.0) for r in compared)
+        summary = (
+            f"largest |g−|f|| {largest / size:.3g} {unit}; largest ratio {ratio:.2f} of {len(compared)}, at most "
+            f"{check.rest_limit:.2f} in 99 of 100 good calibrations"
+        )
+        if check.misfit is not None and not check.reasons and ratio > (check.rest_limit or math.inf):
+            summary += " from the same power-on; the excess is within the usual changes from one power-on to the next"
+        blocks.append(summary)
     blocks += [] if check.misfit is None else _test_blocks(check, check.misfit)
-    return [*blocks, "changed" if check.reasons else _no_change(check)]
+    if check.reasons:
+        return [*blocks, "changed"]
+    worst, units = dict[str, str](), _units_of_detectable(check)
+    for group in dict.fromkeys(group_name(test.name) for test in check.parameters):
+        test = max((t for t in check.parameters if group_name(t.name) == group), key=lambda t: t.detectable)
+        size, unit = units[test.name]
+        worst[group] = f"{group} {two_digits(test.detectable / size)} {unit}"
+    return [*blocks, "no change is shown" + (f", and none larger than\n{', '.join(worst.values())}" if worst else "")]
+
+
+def _units_of_detectable(check: FieldCheck) -> Units:
+    return units_of_values((test.name, test.detectable, test.unit) for test in check.parameters)
 
 
 def _rest_table(rests: Sequence[CheckedRest]) -> Table:
@@ -91,20 +108,8 @@ def _largest(rests: Iterable[CheckedRest]) -> float:
     return max(size for size in values if math.isfinite(size))
 
 
-def _rest_summary(rests: Sequence[CheckedRest], limit: float | None, *, allowed: bool) -> str:
-    """State the largest difference; `allowed`: the tests of the parameters explain all rests."""
-    size, unit = engineering("m/s^2", _largest(rests))
-    largest, ratio = max(abs(rest.difference) for rest in rests), max(abs(rest.sigmas or 0.0) for rest in rests)
-    usual = " from the same power-on; the excess is within the usual changes from one power-on to the next"
-    return (
-        f"largest |g−|f|| {largest / size:.3g} {unit}; largest ratio {ratio:.2f} of {len(rests)}, at most {limit:.2f} "
-        f"in 99 of 100 good calibrations{usual if allowed and limit is not None and ratio > limit else ''}"
-    )
-
-
 def _test_blocks(check: FieldCheck, misfit: Fit) -> Iterator[Block]:
     """Yield the tests of the parameters, and of the residuals that no change explains."""
-    units = units_of_values((test.name, test.detectable, test.unit) for test in check.parameters)
 
     def row(test: ParameterTest, size: float, unit: str) -> dict[str, str]:
         change, u = cells(test.change, test.u, size)
@@ -112,7 +117,7 @@ def _test_blocks(check: FieldCheck, misfit: Fit) -> Iterator[Block]:
         return {"change": change, "u (k=1)": u, "change/u": ratio, "detectable": detectable, "unit": unit}
 
     if check.parameters and check.explained:  # else the changes say nothing
-        yield quantity_table(check.parameters, units, row)
+        yield quantity_table(check.parameters, _units_of_detectable(check), row)
         yield (
             f"largest |change|/u {check.largest:.2f}, at most {check.limit:.2f} in {100.0 * (1.0 - CHANCE):.1f} of "
             "100 checks where nothing has changed"
@@ -123,19 +128,6 @@ def _test_blocks(check: FieldCheck, misfit: Fit) -> Iterator[Block]:
     )
     if check.unseen:
         yield f"not seen by these rests: {', '.join(check.unseen)}"
-
-
-def _no_change(check: FieldCheck) -> str:
-    """State the verdict of no change, with the largest undetectable change of each group."""
-    if not check.parameters:
-        return "no change is shown"
-    worst = dict[str, str]()
-    units = units_of_values((test.name, test.detectable, test.unit) for test in check.parameters)
-    for group in dict.fromkeys(group_name(test.name) for test in check.parameters):
-        test = max((t for t in check.parameters if group_name(t.name) == group), key=lambda t: t.detectable)
-        size, unit = units[test.name]
-        worst[group] = f"{group} {two_digits(test.detectable / size)} {unit}"
-    return f"no change is shown, and none larger than\n{', '.join(worst.values())}"
 
 
 def event_line(event: Event) -> str:
@@ -160,8 +152,3 @@ def event_line(event: Event) -> str:
 
 def _with_sigmas(value: float, unit: str, sigmas: float | None) -> str:
     return f"{value:+z.3g} {unit}" + ("" if sigmas is None else f" ({sigmas:+z.1f} u)")
-
-
-def moved_line(moved: MovedBias) -> str:
-    """Return a sentence on the change of a bias and its time."""
-    return f"{change_text(moved)}; since about {moved.since:.1f} s, rest {moved.rest + 1}"

@@ -170,7 +170,7 @@ def degrees(parameter: Parameter) -> str:
 
 def unit_text(unit: str) -> str:
     """Format an SI unit with superscript exponents and dots: m/s², rad·s/m."""
-    return unit.translate({ord("^"): None, ord("*"): "·"} | dict(zip(map(ord, "24"), "²⁴", strict=True)))
+    return unit.translate({ord("^"): None, ord("*"): "·"} | dict(zip(map(ord, "234"), "²³⁴", strict=True)))
 
 
 def device_name(serial: str, model: str | None) -> str:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from tumble.planning.plan import Plan, Requirement, largest_errors
+from tumble.planning.plan import Plan, Requirement, largest_errors, least_rest
 from tumble.planning.setup import GROUPS, Setup, time_of
 from tumble.programme.sheet_words import clock, move_text, short_code
 from tumble.sensors.parameters import group_of, shown_in
 from tumble.units import DEGREE
-from tumble.views.blocks import Block, Items, Table, table
+from tumble.views.blocks import Block, Items, table
 from tumble.views.numbers import minus
 
 MIN_SHARE = 1e-4  # of u²; smaller sources are not shown
@@ -26,38 +26,19 @@ def _in_unit(name: str, value: float) -> str:
 
 def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
     """Return u by group, with `sources` also by source, the best next positions, and what wanted accuracies need."""
-    blocks: list[Block] = [_head(plan)]
+    setup, programme = plan.setup, plan.setup.programme
+    head = (
+        f"{programme.name}: {len(programme.positions)} positions in {clock(time_of(programme, setup))}, "
+        f"rests of {setup.rest:g} s, turns at {setup.turn_rate / DEGREE:g} °/s"
+    )
+    if plan.motion is not None:
+        where = "on a pivot" if plan.motion.held == "pivot" else "in the hand"
+        head = f"{clock(plan.motion.seconds)} of motion {where}"
+    blocks: list[Block] = [head]
     if plan.rank is not None and plan.condition is not None:
         linear = sum(len(row.parameters) for row in plan.groups if row.group in GROUPS)
         condition = f", condition {plan.condition:.3g}" if math.isfinite(plan.condition) else ""
         blocks.append(f"determined: {plan.rank} of {linear} linear parameters{condition}")
-    blocks.append(_groups_table(plan, sources=sources))
-    if plan.following:
-        blocks.append(_following_table(plan))
-    if plan.requirements:
-        needs = (_needs(row, plan.setup) for row in plan.requirements)
-        blocks.append(table(needs, words=("parameters", "because")))
-    worse = any(row.spread < row.u < math.inf for row in plan.groups)
-    above = (
-        "u/before above 100 %: errors of table and mounting, and terms beyond the linear model, are in u and not in "
-        "the spread before; this pass does not improve such a group"
-    )
-    return [*blocks, Items(items=(*([above] if worse else []), *plan.assumptions))]
-
-
-def _head(plan: Plan) -> str:
-    setup, programme = plan.setup, plan.setup.programme
-    if plan.motion is not None:
-        where = "on a pivot" if plan.motion.held == "pivot" else "in the hand"
-        return f"{clock(plan.motion.seconds)} of motion {where}"
-    return (
-        f"{programme.name}: {len(programme.positions)} positions in {clock(time_of(programme, setup))}, "
-        f"rests of {setup.rest:g} s, turns at {setup.turn_rate / DEGREE:g} °/s"
-    )
-
-
-def _groups_table(plan: Plan, *, sources: bool) -> Table:
-    """Return a table of the expected uncertainty by group of parameters, and by source if `sources`."""
     rows: list[Mapping[str, str]] = []
     for row in plan.groups:
         cells = {"parameters": row.group, "u (rms)": _in_unit(row.group, row.u)}
@@ -69,18 +50,24 @@ def _groups_table(plan: Plan, *, sources: bool) -> Table:
             if u**2 >= MIN_SHARE * row.u**2:
                 blank = dict.fromkeys(cells, "")
                 rows.append({**blank, "u (rms)": _in_unit(row.group, u), "mostly from": name})
-    return table(rows, words=("parameters", "by", "mostly from"))
-
-
-def _following_table(plan: Plan) -> Table:
-    """Return a table of the best next positions, with the u after each."""
-    words, rows = ("one more position", "up and down", "how to get there"), []
-    for one in plan.following:
-        where = (short_code(one.position.attitude), one.position.label, move_text(one.move))
-        counts = {"as good": f"+{one.as_good}" if one.as_good else "", "gain": minus(f"{one.ratio - 1.0:+.1%}")}
-        u = {group: _in_unit(group, one.u[group]) for group in GROUPS if group in one.u}
-        rows.append(dict(zip(words, where, strict=True)) | counts | u)
-    return table(rows, words=words)
+    blocks.append(table(rows, words=("parameters", "by", "mostly from")))
+    if plan.following:
+        words, rows = ("one more position", "up and down", "how to get there"), []
+        for one in plan.following:
+            place = (short_code(one.position.attitude), one.position.label, move_text(one.move))
+            counts = {"as good": f"+{one.as_good}" if one.as_good else "", "gain": minus(f"{one.ratio - 1.0:+.1%}")}
+            u_after = {group: _in_unit(group, one.u[group]) for group in GROUPS if group in one.u}
+            rows.append(dict(zip(words, place, strict=True)) | counts | u_after)
+        blocks.append(table(rows, words=words))
+    if plan.requirements:
+        needs = (_needs(row, setup) for row in plan.requirements)
+        blocks.append(table(needs, words=("parameters", "because")))
+    worse = any(row.spread < row.u < math.inf for row in plan.groups)
+    above = (
+        "u/before above 100 %: errors of table and mounting, and terms beyond the linear model, are in u and not in "
+        "the spread before; this pass does not improve such a group"
+    )
+    return [*blocks, Items(items=(*([above] if worse else []), *plan.assumptions))]
 
 
 def _needs(row: Requirement, setup: Setup) -> dict[str, str]:
@@ -94,5 +81,7 @@ def _needs(row: Requirement, setup: Setup) -> dict[str, str]:
     ):
         cells[what] = f"±{largest / DEGREE:.2f}° (any)" if error is None else f"±{error / DEGREE:.2f}°"
     cells["rests of"] = f"{row.rest:.3g} s" if math.isfinite(row.rest) else "–"
+    if row.rest == least_rest(setup):
+        cells["rests of"] += f" (the least: {_in_unit(row.group, row.reached)})"
     cells["or positions"] = "" if row.positions is None else str(row.positions)
     return cells | {"because": ""}

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tumble.methods.ellipsoid_fit import EllipsoidFit
-from tumble.result.further import group_lines, linear_parameters, prediction_text
+from tumble.result.further import linear_parameters, prediction_text
 from tumble.run.from_readings import ReadingsCalibration, paper_form
 from tumble.units import engineering
 from tumble.views.blocks import Block, Items, Table, table
@@ -25,9 +24,18 @@ def readings_blocks(result: ReadingsCalibration) -> list[Block]:
     if fit is not None or calibration.parameters:
         blocks.append(parameter_table(calibration, linear_parameters(calibration.parameters)))
     if fit is not None:
-        blocks += [group_table(calibration)] if group_lines(calibration) else []
-        blocks += [_paper_table(result)] if calibration.frame == "paper" else []
-        blocks.append(_position_table(result, fit))
+        blocks.append(group_table(calibration))
+        if calibration.frame == "paper":
+            blocks.append(_paper_table(result))
+        size, unit = engineering("m/s^2", float(np.abs(fit.residual[fit.used]).max()))
+        rows = []
+        for i, line in enumerate(result.table.lines):  # residuals |corrected reading| − g
+            row = {"position": str(i + 1), "line": str(line), f"residual {unit}": f"{fit.residual[i] / size:+z.2f}"}
+            row[f"left out {unit}"] = f"{fit.leave_one_out[i] / size:+z.2f}" if fit.degrees else ""
+            row["u (k=1)"] = f"{fit.leave_one_out_u[i] / size:.2f}" if fit.degrees else ""
+            row["sigmas"] = f"{fit.sigmas[i]:.1f}" if fit.degrees else ""
+            rows.append(row | {"": "" if fit.used[i] else "bad"})
+        blocks.append(table(rows, words=()))
         (size, unit), positions = engineering("m/s^2", fit.scatter), int(fit.used.sum())
         if fit.degrees == 0:
             lines.append("no more positions than parameters, so that nothing checks the fit")
@@ -53,16 +61,3 @@ def _paper_table(result: ReadingsCalibration) -> Table:
         rows.append((axis, *(cell for value, each in shown for cell in (value, each if has_u else ""))))
     headings = (f"k {nominal.unit}/{nominal.per}", "θ 1e-5 rad", f"b 1e-5 {nominal.per}")
     return Table(columns=("axis", *(cell for name in headings for cell in (name, "u (k=1)"))), rows=tuple(rows))
-
-
-def _position_table(result: ReadingsCalibration, fit: EllipsoidFit) -> Table:
-    """Return a table of the residuals |corrected reading| − g of the positions, plain and by the fit to the others."""
-    size, unit = engineering("m/s^2", float(np.abs(fit.residual[fit.used]).max()))
-    rows = []
-    for i, line in enumerate(result.table.lines):
-        row = {"position": str(i + 1), "line": str(line), f"residual {unit}": f"{fit.residual[i] / size:+z.2f}"}
-        row[f"left out {unit}"] = f"{fit.leave_one_out[i] / size:+z.2f}" if fit.degrees else ""
-        row["u (k=1)"] = f"{fit.leave_one_out_u[i] / size:.2f}" if fit.degrees else ""
-        row["sigmas"] = f"{fit.sigmas[i]:.1f}" if fit.degrees else ""
-        rows.append(row | {"": "" if fit.used[i] else "bad"})
-    return table(rows, words=())

@@ -11,7 +11,7 @@ from tumble.inference.sources import Source
 from tumble.result.calibration import Calibration
 from tumble.result.uncertainty_budget import REFERENCES, BudgetLine, shares_by_group, with_references
 from tumble.sensors.parameters import beyond_linear, sensor_kind, shown_in
-from tumble.views.blocks import Block, Section, Table, section, table
+from tumble.views.blocks import Block, Table, table
 from tumble.views.numbers import cells, percent, shown_units, significant
 
 MIN_SHARE = 0.02  # of u²; sources with a smaller share in every group are summed in one line
@@ -124,13 +124,3 @@ def _unit_of(source: Source) -> tuple[float, str]:
 def _words(source: Source) -> str:
     """Return the description of a source, with the basis of a prior."""
     return f"{source.words}, by the {source.basis}" if source.basis else source.words
-
-
-def budget_section(calibration: Calibration, *, short: bool = False) -> Section | None:
-    """Return the budget as a section: the shares of all sources and, unless `short`, the budget of each linear
-    parameter.
-
-    None without a budget."""
-    if not calibration.evidence.budget:
-        return None
-    return section("Uncertainty budget", *budget_blocks(calibration, every=not short))

@@ -26,13 +26,14 @@ from tumble.reduction.rests.segmentation import Segmentation, find_rests
 from tumble.sensors.instrument import functions
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import group_name, positions_by_group, prior_sizes, sensor_kind, shown_in
-from tumble.units import G_STANDARD, Array
+from tumble.units import G_STANDARD, Array, two_digits
 
 log = logging.getLogger(__name__)
 
 DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)], dtype=float) - 1.0
 DIRECTIONS /= np.linalg.norm(DIRECTIONS, axis=1, keepdims=True)
 """Directions of the 26 faces, edges and corners of a cube."""
+LEAST_GAIN = 0.01  # in the uncertainty of the accelerometers, by the best further rest; a smaller one is not worth it
 
 _NO_ESTIMATE: EstimateShown = {
     "rests": 0, "groups": [], "enough": False, "residuals": [], "gains": None, "cause": "", "next": "", "unknowns": 0,
@@ -150,13 +151,12 @@ def _compute(
     floor, scale = session.site.gravity_u / session.site.gravity, wanted.group.get("accel.scale", math.inf)
     if not cause and scale < floor:
         cause = (
-            f"accel.scale is limited by gravity to {1e6 * floor:.2g} ppm, and {1e6 * scale:.2g} are wanted: state "
-            "latitude, height (--height) or gravity in [site]"
+            f"accel.scale is limited by gravity to {two_digits(1e6 * floor)} ppm, and {two_digits(1e6 * scale)} are "
+            "wanted: state latitude, height (--height) or gravity in [site]"
         )
 
     remaining = gains(estimate, wanted.group, session.accel_block, wanted.accel, session.site)
-    best = int(np.argmin(remaining))
-    upwards = [f"{name} {'up' if v > 0 else 'down'}" for name, v in zip("XYZ", DIRECTIONS[best], strict=True) if v]
+    following = best_next(remaining)
     return {
         "rests": len(segmentation.rests),
         "groups": groups,
@@ -166,12 +166,22 @@ def _compute(
             for s, r in zip(estimate.rest_sigmas, estimate.rest_residual, strict=True)
             if math.isfinite(s)
         ],
-        "gains": remaining.tolist(),
-        "next": f"{', '.join(upwards)}: accelerometers to {100.0 * remaining[best]:.0f} % of their uncertainty",
+        "gains": remaining.tolist() if following else None,
+        "next": following,
         "cause": cause,
         "unknowns": len(estimate.names),
         "seconds": time.thread_time() - began,
     }
+
+
+def best_next(remaining: Array) -> str:
+    """Return in words the direction of the rest that would leave least of the uncertainty, with its gain; empty if no
+    further rest is worth it."""
+    best = int(np.argmin(remaining))
+    gain = 1.0 - float(remaining[best])
+    upwards = [f"{name} {'up' if v > 0 else 'down'}" for name, v in zip("XYZ", DIRECTIONS[best], strict=True) if v]
+    said = f"{', '.join(upwards)}: uncertainty of the accelerometers {100.0 * gain:.0f} % smaller"
+    return said if gain > LEAST_GAIN else ""
 
 
 def gains(

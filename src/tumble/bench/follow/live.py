@@ -17,7 +17,6 @@ from tumble.recording.log import HEAD_ROWS, Chunk
 from tumble.recording.session import Exclusion
 from tumble.reduction.blocks.reducer import Reducer, Reduction
 from tumble.reduction.rest_stream import rests_so_far
-from tumble.units import Array
 
 PIECE_BYTES = 1 << 18
 _PIECES = 32
@@ -75,7 +74,11 @@ class Live:
                 if self._unreadable or not self._read_piece():
                     if self._number == len(self.files) - 1:
                         break
-                    self._begin_next_file(excluded)
+                    self._update(excluded)
+                    self._ended = self.now  # after a restart of the clock
+                    streamed = StreamedSamples(self._task.session.log, interval=self.interval, file=self._number + 1)
+                    streamed.gaps = self._streamed.gaps
+                    self._begin_file(streamed)
                 elif self._number == 0 and self._streamed.head < HEAD_ROWS <= self.samples:
                     self._begin(StreamedSamples(self._task.session.log, head=HEAD_ROWS))
         except LogError as error:
@@ -116,14 +119,6 @@ class Live:
             fault = replace(fault, kind="restart", start=start, choices=choices)
         self.faults.append(fault)
 
-    def _begin_next_file(self, excluded: tuple[Exclusion, ...]) -> None:
-        """Begin with the next file, after a restart of the clock."""
-        self._update(excluded)
-        self._ended = self.now
-        streamed = StreamedSamples(self._task.session.log, interval=self.interval, file=self._number + 1)
-        streamed.gaps = self._streamed.gaps
-        self._begin_file(streamed)
-
     def _read_piece(self) -> bool:
         """Read the next lines of the log, and return True if there were any rows."""
         with self.files[self._number].open("rb") as file:
@@ -137,13 +132,8 @@ class Live:
         chunk = self._streamed.feed(rows)
         if chunk is not None and self._streamed.interval is not None:
             self._take(chunk, self._streamed.interval)
-        self._check_clock(rows)
-        return True
-
-    def _check_clock(self, rows: Array) -> None:
-        """Report a clock that has gone back in the log of another program; no samples are taken meanwhile."""
         spec = self._task.session.log
-        if spec.time is not None:
+        if spec.time is not None:  # which may go back in the log of another program; no samples are taken meanwhile
             behind = self._latest - float(rows[-1, spec.columns.index(spec.time)]) * spec.time_factor
             self.trouble = (
                 f"the clock has gone back by {behind:.0f} s, and the page waits for it: such a log cannot be "
@@ -151,6 +141,7 @@ class Live:
                 if behind > NEXT_SECONDS
                 else ""
             )
+        return True
 
     def _take(self, chunk: Chunk, interval: float) -> None:
         """Search samples for faults, and feed them to the reduction."""

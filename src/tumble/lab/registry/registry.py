@@ -165,7 +165,8 @@ class Registry:
                 file=text,
             )
             rows.add_logs(number, logs if accepted else ())  # a better calibration of the log may follow
-            return rows.records(number=number)[0]
+            # all records are read, so that nothing is added to a registry with a damaged one
+            return next(record for record in rows.records() if record.number == number)
 
     def set_limits(self, model: str, file: FilePath) -> LimitsRecord:
         """Put the acceptance limits of a TOML file in force for a device type, unless they are already.

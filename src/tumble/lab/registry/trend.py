@@ -160,9 +160,16 @@ def trend_of(past: Sequence[tuple[Record, Calibration]], limits: Limits | None) 
     """
     points, units = dict[str, list[Point]](), dict[str, str]()
     for record, calibration in reversed(past):  # parameters in the order of the latest calibration
-        sources = _shareable_errors(calibration)
+        # changes (m,) by one standard uncertainty of errors that another calibration of the device may share
+        known, covariance, origin = calibration.parameters, calibration.covariance, calibration.provenance
+        changes = prior_sensitivities(known, covariance, calibration.evidence.budget)
+        sources: dict[Hashable, Array] = {("prior", name): g for name, g in changes.items()}
+        if (site := origin.site) is not None and site.gravity_u > 0.0:
+            sources["gravity", site.gravity, site.gravity_u] = gravity_sensitivity(known, covariance, site)
+        if origin.clock_u > 0.0:
+            sources["time base", origin.clock_u] = time_base_sensitivity(calibration)
         launches = [q for launch in calibration.evidence.launches for q in launch.parameters]
-        for i, p in enumerate(calibration.parameters):
+        for i, p in enumerate(known):
             if units.setdefault(p.name, p.unit) != p.unit:
                 continue
             point = Point(
@@ -193,19 +200,6 @@ def trend_of(past: Sequence[tuple[Record, Calibration]], limits: Limits | None) 
         comparison=comparison,
         compared=compared,
     )
-
-
-def _shareable_errors(calibration: Calibration) -> dict[Hashable, Array]:
-    """Return the changes (m,) of the parameters by one standard uncertainty of the stated gravity, of the time base and
-    of each prior, which another calibration of the device may share."""
-    parameters, covariance, site = calibration.parameters, calibration.covariance, calibration.provenance.site
-    changes = prior_sensitivities(parameters, covariance, calibration.evidence.budget)
-    sources: dict[Hashable, Array] = {("prior", name): g for name, g in changes.items()}
-    if site is not None and site.gravity_u > 0.0:
-        sources["gravity", site.gravity, site.gravity_u] = gravity_sensitivity(parameters, covariance, site)
-    if calibration.provenance.clock_u > 0.0:
-        sources["time base", calibration.provenance.clock_u] = time_base_sensitivity(calibration)
-    return sources
 
 
 def parameter_trend(name: str, unit: str, points: Sequence[Point]) -> ParameterTrend:

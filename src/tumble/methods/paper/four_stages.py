@@ -255,19 +255,6 @@ def _series(programme: Programme, position: IntArray, first: Sequence[int]) -> t
 # Iterations
 
 
-def iterated(
-    observations: Observations, iterations: int = 2, *, method: PaperMethod, intervals: bool = True
-) -> Estimate:
-    """Estimate the parameters of a session from its start values by one or more passes of a method of the paper.
-
-    With `intervals`, scatter and sizes of groups are integrated by `joint`; otherwise they are at the maximum. Raises
-    InputError for a session without what the method needs."""
-    if iterations < 1:
-        raise InputError(f"iterations: expected at least 1, found {iterations}")
-    session = _SessionData.of(observations, method)
-    return _estimate(session, *session.passes(iterations), intervals)
-
-
 def shift_by_groups(observations: Observations, method: PaperMethod, iterations: int = 2) -> tuple[Problem, Array]:
     """Return the likelihood with the groups that a method omits, and the shift (m, k) of its result by one of each of
     their parameters. Raises as `iterated`."""
@@ -464,11 +451,18 @@ def _rows(values: Array, n: int) -> Array:
     return values.reshape(*values.shape[:-1], -1, n)
 
 
-def _estimate(
-    session: _SessionData, values: Array, derivative: Array, increments: tuple[Array, ...], intervals: bool
+def iterated(
+    observations: Observations, iterations: int = 2, *, method: PaperMethod, intervals: bool = True
 ) -> Estimate:
-    """Build the estimate of values (m,) with their derivative (m, d) with respect to the data."""
-    observations, turned = session.observations, session.turned(values)
+    """Estimate the parameters of a session from its start values by one or more passes of a method of the paper.
+
+    With `intervals`, scatter and sizes of groups are integrated by `joint`; otherwise they are at the maximum. Raises
+    InputError for a session without what the method needs."""
+    if iterations < 1:
+        raise InputError(f"iterations: expected at least 1, found {iterations}")
+    session = _SessionData.of(observations, method)
+    values, derivative, increments = session.passes(iterations)
+    turned = session.turned(values)
     by_likelihood = converged_joint(observations, intervals and bool(observations.usual))
     if by_likelihood is None:  # groups leave a linear parameter undetermined
         by_likelihood = joint(replace(observations, usual={}), intervals=False)

@@ -176,7 +176,7 @@ _DIRECTION = re.compile(
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Sensors:
-    """Columns of three sensors of one kind, and their unit as in session.toml, None if the names have no unit."""
+    """Columns of three sensors of one kind, and their unit as in session.toml, None if the first name has none."""
 
     columns: tuple[str, str, str]
     unit: str | None

@@ -119,7 +119,7 @@ def triads_of(columns: Iterable[str], units: Mapping[str, str]) -> dict[str, Sen
 
 def is_recording(path: Path) -> bool:
     """Return whether a file, or the folder of a ROS 2 bag, is in one of the formats, by ending or first bytes."""
-    return _module_of(path) is not None or _plugin_of(path) is not None
+    return format_of(path) is not None or _plugin_of(path) is not None
 
 
 def _plugin_of(path: Path) -> Reader | None:
@@ -130,8 +130,8 @@ def _plugin_of(path: Path) -> Reader | None:
     return next((reader for reader in load_all("readers", Reader).values() if ending in reader.endings), None)
 
 
-def _module_of(path: Path) -> str | None:
-    """Return the name of the module that reads a file; None without."""
+def format_of(path: Path) -> str | None:
+    """Return the format of a recording, the name of the module that reads it; None for other files."""
     if path.is_dir():
         return "ros" if (path / "metadata.yaml").is_file() else None
     try:
@@ -153,7 +153,7 @@ def messages(*paths: Path) -> list[Message]:
     found: list[Message] = []
     nothing: list[str] = []
     for path in paths:
-        name, plugin = _module_of(path), None
+        name, plugin = format_of(path), None
         if name is None and (plugin := _plugin_of(path)) is None:
             raise InputError(f"{path}: expected a recording that ends in {', '.join(ENDINGS)}, found another")
         if not path.exists():

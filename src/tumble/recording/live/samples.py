@@ -133,9 +133,10 @@ class SampleStream:
             if TEMPERATURE in [column.strip() for column in first_line.split(",")]:
                 log[TEMPERATURE] = {"columns": [TEMPERATURE], "unit": "degC"}
                 columns.append(TEMPERATURE)
-            place = {}
+            place = dict[str, float]()
             if site is not None:
-                place = {"height_m": site.height, "gravity": site.gravity, "gravity_u": site.gravity_u}
+                place = {"gravity": site.gravity, "gravity_u": site.gravity_u}
+                place |= {} if site.height is None else {"height_m": site.height}
                 place |= {} if site.latitude is None else {"latitude_deg": site.latitude / DEGREE}
             described = {"format": 1, "device": {"serial": serial}, "site": place, "log": log}
             session = session_of(described, {column: np.zeros(1) for column in columns})

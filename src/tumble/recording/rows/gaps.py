@@ -6,7 +6,7 @@ A sample is lost if its row is missing or cannot be read, or if one of its numbe
 * At most five samples are bridged: missing rows are inserted at evenly spaced times, and numbers that are not finite
   are interpolated linearly in time between their neighbours.
 * Longer runs are left out, and the samples continue after them. Rests remain valid. A turn with a missing part cannot
-  be integrated: its `Gap` is not `integrable`, and `observations` leaves the turn out.
+  be integrated: its `Gap` is not `integrable`, and `tumble.reduction.turns.turns` leaves the turn out.
 * Runs before the first sound row and after the last one are left out.
 
 A row without a time of its own is left out (`timed`), and is a missing sample unless the next row follows in time. In a

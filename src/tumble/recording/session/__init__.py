@@ -124,12 +124,13 @@ AssumedGravity = Literal["nothing", "digits", "height", "place"]
 class Site:
     """Place of the recording: geodetic latitude, rad; height, m; gravity and its standard uncertainty, m/s².
 
-    `field` is the modulus of the magnetic field in the unit of the magnetometer, None if unknown. `gravity_confirmed`:
-    the stated gravity is intended although it is far from normal gravity. `gravity_is_unit`: local gravity is the unit,
-    and `gravity` is its nominal value. `assumed`: the quantity that was assumed to obtain gravity."""
+    Latitude and height are None if they are not stated. `field` is the modulus of the magnetic field in the unit of the
+    magnetometer, None if unknown. `gravity_confirmed`: the stated gravity is intended although it is far from normal
+    gravity. `gravity_is_unit`: local gravity is the unit, and `gravity` is its nominal value. `assumed`: the quantity
+    that was assumed to obtain gravity."""
 
     latitude: float | None
-    height: float
+    height: float | None
     gravity: float
     gravity_u: float
     field: float | None = None

@@ -67,7 +67,6 @@ class SiteTable(SessionTable):
         Gravity without `gravity_u` is uniform over its last digit, and exact with more than nine. Without gravity it is
         normal gravity, at sea level if the height is not stated; at an unknown place it is standard gravity."""
         latitude = None if self.latitude_deg is None else self.latitude_deg * DEGREE
-        height = 0.0 if self.height_m is None else self.height_m
         assumed: AssumedGravity = "nothing"
         if self.gravity is not None:
             decimals = len(repr(self.gravity).partition(".")[2])
@@ -76,12 +75,12 @@ class SiteTable(SessionTable):
         elif latitude is None:
             gravity, u, assumed = G_STANDARD, UNKNOWN_SITE_GRAVITY_U, "place"
         elif self.height_m is None:
-            gravity, u, assumed = normal_gravity(latitude, height), UNKNOWN_HEIGHT_GRAVITY_U, "height"
+            gravity, u, assumed = normal_gravity(latitude, 0.0), UNKNOWN_HEIGHT_GRAVITY_U, "height"
         else:
-            gravity, u = normal_gravity(latitude, height), NORMAL_GRAVITY_U
+            gravity, u = normal_gravity(latitude, self.height_m), NORMAL_GRAVITY_U
         return Site(
             latitude=latitude,
-            height=height,
+            height=self.height_m,
             gravity=gravity,
             gravity_u=u if self.gravity_u is None else self.gravity_u,
             assumed=assumed if self.gravity_u is None else "nothing",

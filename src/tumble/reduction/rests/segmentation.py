@@ -273,7 +273,7 @@ class _RestSearch:
         )
 
     def run(self) -> Segmentation:
-        """Carry out steps 1 to 4 and 6 of the module docstring."""
+        """Carry out all steps of the module docstring but the fifth, which belongs to `find_rests`."""
         tuning, window, rates = self.tuning, self.window, self.rates
         scatter = [_moving_scatter(force, window) for force in self.forces]
         floor = self._floor(np.concatenate(scatter))

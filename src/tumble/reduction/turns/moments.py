@@ -302,7 +302,7 @@ def delay_column(moments: Moments) -> Array:
 def single_delay_columns(
     moments: Moments, left_inverse: Array, sensitivities: Array, ends: tuple[Array, Array]
 ) -> Array:
-    """Return ∂V (K, 3, n), m/s², of the delays of single accelerometers: Eq. (11), integrated by parts.
+    """Return ∂V = −A_τ (K, 3, n), m/s², of the delays of single accelerometers: Eq. (11), integrated by parts.
 
         A_τ = ∫ C (ω × s_p)(a_p·f) dt − [C s_p (a_p·f)]
 

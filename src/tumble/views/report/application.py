@@ -10,14 +10,14 @@ from typing import Any
 from tumble.result.calibration import Calibration
 from tumble.result.correction import Example, examples, linear_example
 from tumble.result.further import SENSORS, further_parameters, linear_errors_text
-from tumble.sensors.model import SensorKind
-from tumble.sensors.parameters import group_name, variable_of
+from tumble.sensors.model import UNITS, SensorKind, SensorModel
+from tumble.sensors.parameters import THERMAL, group_name, variable_of
 from tumble.units import Array
 from tumble.views.blocks import Block, Formula, Matrices, Matrix, Section, Text, section, table
 from tumble.views.numbers import fixed, significant, unit_text
 
+BEYOND = "Beyond bias, scale factors and axes"  # section on the further groups
 _WARMING = 10.0  # K above the reference temperature, of test vectors over temperature
-_MAX_UNHALVED_ROWS = 12  # of a narrow table; a longer one is set in halves
 MODEL_DIGITS, TRUE_DIGITS = 10, 8  # decimals of matrices and biases (SI), and of true values of test vectors
 _WORDS: Mapping[str, Any] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 _OVER_TEMPERATURE = {
@@ -29,6 +29,7 @@ _OVER_TEMPERATURE = {
 
 def application(calibration: Calibration) -> Section:
     """Return the section: model and frame, definition of a reading, matrices with test vectors, and further terms."""
+    models: dict[SensorKind, SensorModel | None]
     models = {"accel": calibration.accel, "gyro": calibration.gyro, "mag": calibration.mag}
     present = {kind: model for kind, model in models.items() if model is not None}
     frame = _WORDS["frames"].get(calibration.frame, "It is described in the documentation of the software.")
@@ -105,10 +106,9 @@ def _reading_blocks(calibration: Calibration, kinds: Container[str]) -> list[Blo
     return [definition + ".", table(rows, words=("column of the log", "sensor", "raw unit"))]
 
 
-def _unit(calibration: Calibration, kind: str) -> str:
+def _unit(calibration: Calibration, kind: SensorKind) -> str:
     """Return the unit of the readings and biases of a block."""
-    unit = next((p.unit for p in calibration.parameters if group_name(p.name) == f"{kind}.bias"), "")
-    return unit_text(unit)
+    return unit_text(calibration["mag.bias.x"].unit if kind == "mag" else UNITS[kind])
 
 
 def _test_vector(worked: Example, unit: str) -> Matrices:
@@ -133,9 +133,8 @@ def _present(calibration: Calibration, terms: Mapping[str, str]) -> list[str]:
 
 
 def _whole_correction(calibration: Calibration) -> Iterator[Block]:
-    """Yield the formulas of the groups beyond the linear model, their values, and a test vector."""
+    """Yield the formulas of the groups beyond the linear model, and a test vector."""
     compensator = calibration.compensator
-    further = [p for p in further_parameters(calibration.parameters) if variable_of(p.name) != "time"]
     static, moving = ("; ".join(_present(calibration, terms)) for terms in (_WORDS["terms"], _WORDS["in_motion"]))
     sentences = []
     if static:
@@ -154,9 +153,10 @@ def _whole_correction(calibration: Calibration) -> Iterator[Block]:
             "and the row of the matrix by that along its own direction."
         )
     yield Text(text="The whole correction", tone="label")
-    yield " ".join(sentences)
-    rows = [{"parameter": p.name, "value, SI": significant(p.value, 8), "unit": unit_text(p.unit)} for p in further]
-    yield table(rows, dense=True, halves=len(rows) > _MAX_UNHALVED_ROWS)
+    variables = {variable_of(p.name) for p in further_parameters(calibration.parameters)}
+    places = ["“Result”"] if compensator.warm else []
+    places += [f"“{BEYOND}”"] if variables.difference(THERMAL) else []
+    yield " ".join([*sentences, f"The values in SI are in the tables of {' and '.join(places)}."])
     kinds: tuple[SensorKind, ...] = ("accel",) if calibration.gyro is None else ("accel", "gyro")
     warm = f" and {_WARMING:.0f} K above the reference temperature" if compensator.warm else ""
     yield (

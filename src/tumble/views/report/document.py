@@ -21,7 +21,7 @@ from tumble.result.further import recording_dates
 from tumble.views.blocks import Document, Facts, Items, Part, Section, Tone, section
 from tumble.views.numbers import NONE, device_name, fixed, significant
 from tumble.views.report import application, over_temperature, recording, result
-from tumble.views.uncertainty_budget import budget_section
+from tumble.views.uncertainty_budget import budget_blocks
 
 _MAX_TIMES = 3  # times listed in full; with more recordings only the days are listed
 
@@ -107,7 +107,8 @@ def write_document(document: Document, out: FilePath) -> None:
 def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequence[Section]] = ()) -> Document:
     """Return the report of calibrations of one device, with further sections after the result of each.
 
-    Raises InputError for calibrations of several devices."""
+    Calibrations by one method are named by a number and the date of the recording too. Raises InputError for
+    calibrations of several devices."""
     calibrations, first, several = [source.calibration for source in sources], sources[0].calibration, len(sources) > 1
     for source in sources[1:]:
         if source.calibration.serial != first.serial:
@@ -115,12 +116,22 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
                 f"{source.file}: expected a calibration of device {first.serial!r} like {sources[0].file}, "
                 f"found {source.calibration.serial!r}; make a report for each device"
             )
-    titles = _titles(calibrations)
-    parts = []
+    titles, parts = [calibration.method for calibration in calibrations], []
+    if len(set(titles)) < len(titles):
+        dates = [(calibration.provenance.circumstances.date or "")[:10] for calibration in calibrations]
+        titles = [f"{i}: {name} {day}".rstrip() for i, (name, day) in enumerate(zip(titles, dates, strict=True), 1)]
     for i, (source, title) in enumerate(zip(sources, titles, strict=True)):
-        inserted = further_sections[i] if further_sections else ()
-        sections = tuple(each for each in _sections(source, inserted, f"c{i + 1}") if each is not None)
-        parts.append(Part(title=title if several else "", sections=sections))
+        calibration, key = source.calibration, f"c{i + 1}"  # prefix of its figures
+        origin = calibration.provenance
+        sections = [
+            result.result(calibration, f"{key}-improvement"),
+            *(further_sections[i] if further_sections else ()),
+            notes(*further.remarks(calibration), *origin.assumptions, *origin.notes),
+            *annexes(calibration, key),
+            result.unknown(calibration),
+            provenance(source),
+        ]
+        parts.append(Part(title=title if several else "", sections=tuple(filter(None, sections))))
     verdict, tone = verdict_on(calibrations)
     return Document(
         title="Calibration report",
@@ -132,15 +143,6 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
         parts=tuple(parts),
         closing="End of the report",
     )
-
-
-def _titles(calibrations: Sequence[Calibration]) -> list[str]:
-    """Name calibrations by their methods, and if these are equal also by a number and the date of the recording."""
-    titles = [calibration.method for calibration in calibrations]
-    if len(set(titles)) == len(titles):
-        return titles
-    dates = [(calibration.provenance.circumstances.date or "")[:10] for calibration in calibrations]
-    return [f"{i}: {name} {day}".rstrip() for i, (name, day) in enumerate(zip(titles, dates, strict=True), 1)]
 
 
 def verdict_on(calibrations: Sequence[Calibration]) -> tuple[str, Tone]:
@@ -165,18 +167,6 @@ def reasons_of(sources: Sequence[ReportedFile]) -> list[str]:
 # -------------------- sections --------------------
 
 
-def _sections(source: ReportedFile, inserted: Sequence[Section], key: str) -> Iterator[Section | None]:
-    """Yield all sections on a calibration; `key` is the prefix of its figures."""
-    calibration = source.calibration
-    yield result.result(calibration, f"{key}-improvement")
-    yield from inserted
-    origin = calibration.provenance
-    yield notes(*further.remarks(calibration), *origin.assumptions, *origin.notes)
-    yield from annexes(calibration, key)
-    yield result.unknown(calibration)
-    yield provenance(source)
-
-
 def annexes(calibration: Calibration, key: str, *, short: bool = False) -> Iterator[Section | None]:
     """Yield the sections on the correction and the evidence; for a certificate `short`, without figures of recordings,
     budgets of parameters and tables of groups."""
@@ -190,7 +180,8 @@ def annexes(calibration: Calibration, key: str, *, short: bool = False) -> Itera
     yield from map(recording.rests_and_turns, recordings)
     names = ("" if short else f"{key}-residuals{i}" for i in range(len(recordings)))
     yield from map(recording.residuals, recordings, names)
-    yield budget_section(calibration, short=short)
+    if budget := budget_blocks(calibration, every=not short):
+        yield section("Uncertainty budget", *budget)
     yield result.correlations(calibration)
 
 
@@ -219,7 +210,7 @@ def provenance(source: ReportedFile) -> Section:
 def front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], ...]:
     """Return facts on the device, and for a single calibration on its recording, the air, the operator and
     equipment."""
-    rows = [("serial number", first.serial), ("model", first.model or NONE)]
+    rows = [("serial number", first.serial), ("model", first.model or "not stated")]
     if len(titles) > 1:
         return (*rows, ("calibrations", ", ".join(titles)))
     recordings, moments = recording.recordings(first), recording_dates(first)
@@ -231,7 +222,7 @@ def front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], .
         ("programme", first.provenance.programme or "none"),
         ("launches", str(len(recordings))),
         *(recording.site_facts(recordings[0].recorded.site) if first.provenance.site is not None else ()),
-        ("temperature", recording.temperature(recordings)),
+        ("device temperature", recording.temperature(recordings)),
     ]
     if first.gyro is not None:
         clock = first.provenance.clock_u

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tumble.reduction.rests.thermometer import Thermometers
 from tumble.result.calibration import Calibration
 from tumble.result.temperature_curves import (
-    Range,
     measured_range,
     rests_with_temperature,
     temperature_curve,
@@ -40,7 +40,8 @@ def section(calibration: Calibration, name: str) -> Section | None:
     names = thermal_parameters(calibration)
     if measured is None or reference is None or not names:
         return None
-    celsius, rows = np.array([measured.low, reference, measured.high]), []
+    (low, high), rows = measured, []
+    celsius = np.array([low, reference, high])
     curves = [temperature_curve(calibration, each, celsius) for each in names]
     units = units_of_values((each.name, float(max(each.value, key=abs)), each.unit) for each in curves)
     for each in curves:
@@ -51,13 +52,13 @@ def section(calibration: Calibration, name: str) -> Section | None:
     columns = ("parameter", *(cell for T in celsius.tolist() for cell in (f"at {fixed(T, 1)} °C", "U")), "unit")
     cubic = ", and + θ₃ (T − T₀)³ where there are some in t3" if any(n.endswith(".t3") for n in calibration) else ""
     text = (
-        f"Measured from {fixed(measured.low, 1)} to {fixed(measured.high, 1)} °C. All other values in this report are "
+        f"Measured from {fixed(low, 1)} to {fixed(high, 1)} °C. All other values in this report are "
         f"those at the reference temperature, {fixed(reference, 1)} °C; at T they are θ + θ₁ (T − T₀) + θ₂ (T − T₀)², "
         f"θ₁ and θ₂ being the parameters that end in t1 and t2{cubic}. U is that of the whole sum. Beyond the measured "
         "range the curve is an extrapolation, for which U does not stand."
     )
     text += "".join(f" {sentence[0].upper()}{sentence[1:]}." for sentence in thermometer_notes(calibration))
-    has_dots = any(True for each in names for _ in _readings(calibration, each, reference))
+    has_dots = any(True for each in names for _ in rest_in_parts(calibration, each, reference))
     dots = "Dots: a rest in parts, moved onto the curve. " if has_dots else ""
     over = Figure(
         svg=_curves(name, calibration, names, measured, reference),
@@ -68,7 +69,9 @@ def section(calibration: Calibration, name: str) -> Section | None:
     return section_of("Over temperature", text, numbers, over)
 
 
-def _curves(name: str, calibration: Calibration, names: Sequence[str], measured: Range, reference: float) -> str:
+def _curves(
+    name: str, calibration: Calibration, names: Sequence[str], measured: tuple[float, float], reference: float
+) -> str:
     """Draw, in a panel for each group, the change of the parameters from their reference values, with ±U."""
     by_group = {group: [names[i] for i in members] for group, members in positions_by_group(names).items()}
     rests = rests_with_temperature(calibration)
@@ -89,9 +92,9 @@ def _curves(name: str, calibration: Calibration, names: Sequence[str], measured:
     return svg_of(name, PAGE_WIDTH, 2.0 * -(-len(by_group) // 2) + 0.2, draw)
 
 
-def _readings(calibration: Calibration, member: str, reference: float) -> Iterator[tuple[Array, Array]]:
-    """Yield temperatures, °C, and readings of each rest in parts, shifted onto the curve of the bias; nothing for other
-    parameters."""
+def rest_in_parts(calibration: Calibration, member: str, reference: float) -> Iterator[tuple[Array, Array]]:
+    """Yield temperatures of the sensors, °C, which lag behind the thermometer, and readings of each rest in parts,
+    shifted onto the curve of the bias; nothing for other parameters."""
     kind = sensor_kind(member)
     block, _ = calibration.compensator.sensors(kind)
     if group_name(member) != f"{kind}.bias" or block is None:
@@ -101,16 +104,22 @@ def _readings(calibration: Calibration, member: str, reference: float) -> Iterat
     begins = [not (b.file == a.file and b.start <= a.stop) for a, b in pairwise(rests)]
     for parts in np.split(np.arange(len(rests)), np.flatnonzero(begins) + 1):
         if len(parts) >= MIN_PARTS:
-            celsius = np.array([temperature_of(rests[k], kind) for k in parts])
+            thermometer = np.array([[temperature_of(rests[k], kind)] for k in parts])
+            start, stop = (np.array([getattr(rests[k], end) for k in parts]) for end in ("start", "stop"))
+            record = Thermometers.of({0: (0.5 * (start + stop), thermometer)})
+            lag = calibration.compensator.lags.get(kind, 0.0)
+            celsius = record.means(np.zeros(len(parts), int), start, stop, lag).kelvin[:, 0]
             read = np.array([getattr(rests[k], kind).mean[channel] for k in parts])
             at = temperature_curve(calibration, member, np.append(celsius, reference)).value
             yield celsius, read - (read - at[:-1] + at[-1]).mean()
 
 
-def _panel(axes: Axes, calibration: Calibration, members: Sequence[str], measured: Range, reference: float) -> None:
-    margin = EXTRAPOLATION * (measured.high - measured.low)
-    inside, curves = measured.temperatures(101), {}
-    beyond = [np.linspace(start, start + margin, 15) for start in (measured.low - margin, measured.high)]
+def _panel(
+    axes: Axes, calibration: Calibration, members: Sequence[str], measured: tuple[float, float], reference: float
+) -> None:
+    low, high = measured
+    margin, inside, curves = EXTRAPOLATION * (high - low), np.linspace(low, high, 101), {}
+    beyond = [np.linspace(start, start + margin, 15) for start in (low - margin, high)]
     for member in members:
         at_reference = temperature_curve(calibration, member, np.array([reference])).value[0]
         within = temperature_curve(calibration, member, inside)
@@ -119,12 +128,12 @@ def _panel(axes: Axes, calibration: Calibration, members: Sequence[str], measure
     size, unit = engineering(within.unit, max(float(np.abs(change).max()) for change, _, _ in curves.values()))
     for i, (member, (change, expanded, outside)) in enumerate(curves.items()):
         colour = COLOURS[i % len(COLOURS)]
-        for celsius, read in _readings(calibration, member, reference):
+        for celsius, read in rest_in_parts(calibration, member, reference):
             axes.plot(celsius, read / size, ".", color=colour, markersize=3.0, alpha=0.6)
         axes.plot(inside, change / size, color=colour, label=drawable(within_group(member)))
         if expanded is not None:
-            low, high = (change - expanded) / size, (change + expanded) / size
-            axes.fill_between(inside, low, high, color=colour, alpha=0.16, linewidth=0.0)
+            least, most = (change - expanded) / size, (change + expanded) / size
+            axes.fill_between(inside, least, most, color=colour, alpha=0.16, linewidth=0.0)
         for T, extrapolated in zip(beyond, outside, strict=True):
             axes.plot(T, extrapolated / size, color=colour, linestyle=(0, (3, 2)), linewidth=0.8)
     for T in beyond:

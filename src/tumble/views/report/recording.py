@@ -4,26 +4,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tumble.diagnosis.verdict import anomaly_text
 from tumble.errors import ProgrammeError
-from tumble.programme.positions import Position, from_attitudes
+from tumble.inference.estimate import FIT_SIGMAS
+from tumble.programme.positions import from_attitudes
 from tumble.programme.sheet_words import short_code
 from tumble.recording.session import Site
 from tumble.result.calibration import Calibration
-from tumble.result.further import has_redundancy, rest_summary
-from tumble.result.parts import Launch, TurnResult
+from tumble.result.further import rest_summary
+from tumble.result.parts import Launch, RestResult, TurnResult
 from tumble.rotation import unit_vector
 from tumble.run.calibrate import ITERATED_METHODS
-from tumble.units import DEGREE, G_STANDARD, Array
+from tumble.units import DEGREE, G_STANDARD, engineering
 from tumble.views.blocks import Block, Facts, Figure, Section, Table, Text, section, table
 from tumble.views.numbers import NONE, fixed, in_engineering, minus, significant
-from tumble.views.report import figures
+from tumble.views.render.pictures import COLOURS, GREY, PAGE_WIDTH, grid, svg_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Canvas
 
 MICRO_G = 1e-6 * G_STANDARD
+_MAX_TICKS = 25  # numbers of rests below a figure
 _MAX_UNHALVED_TURNS = 8  # rows; a longer table of turns is set in halves
 
 
@@ -34,24 +41,6 @@ class RecordedSession:
     title: str
     calibration: Calibration
     recorded: Launch
-
-    def verticals(self) -> Array | None:
-        """Return the vertical in the body frame (N, 3) at every rest from its corrected reading; None if it is not
-        known."""
-        readings = [rest.accel.mean for rest in self.recorded.rests if rest.accel is not None]
-        if self.calibration.accel is None or len(readings) < len(self.recorded.rests):
-            return None
-        return unit_vector(self.calibration.accel.apply(np.array(readings)))
-
-    def positions(self) -> list[Position | None]:
-        """Return the programme's position at every rest; None for an attitude that is not in the programme."""
-        positions: list[Position | None] = []
-        for rest in self.recorded.rests:
-            try:
-                positions.append(None if rest.attitude is None else from_attitudes([rest.attitude]).positions[0])
-            except ProgrammeError:
-                positions.append(None)
-        return positions
 
     def titled(self, title: str) -> str:
         """Return the title of a section about this session."""
@@ -79,8 +68,8 @@ def site_facts(site: Site | None) -> tuple[tuple[str, str], ...]:
     gravity += f"; {against}" if against is not None else ""
     if site.latitude is None:
         return (("latitude", NONE), ("gravity", gravity))
-    place = (("latitude", f"{minus(f'{site.latitude / DEGREE:.8g}')}°"), ("height", f"{fixed(site.height, 1)} m"))
-    return (*place, ("gravity", gravity))
+    height = "not stated" if site.height is None else f"{fixed(site.height, 1)} m"
+    return (("latitude", f"{minus(f'{site.latitude / DEGREE:.8g}')}°"), ("height", height), ("gravity", gravity))
 
 
 def sites(recordings: Sequence[RecordedSession]) -> Section | None:
@@ -120,11 +109,17 @@ def tables_of(recording: RecordedSession) -> tuple[Table | None, Table | None, T
 
 
 def _rest_table(recording: RecordedSession) -> Table:
-    several, verticals = len({rest.file for rest in recording.recorded.rests}) > 1, recording.verticals()
-    warm = any(rest.temperature is not None for rest in recording.recorded.rests)
-    programmed = any(rest.attitude is not None for rest in recording.recorded.rests)
-    rows = []
-    for i, (rest, position) in enumerate(zip(recording.recorded.rests, recording.positions(), strict=True)):
+    rests, model, rows, verticals = recording.recorded.rests, recording.calibration.accel, [], None
+    several = len({rest.file for rest in rests}) > 1
+    warm = any(rest.temperature is not None for rest in rests)
+    programmed = any(rest.attitude is not None for rest in rests)
+    readings = [rest.accel.mean for rest in rests if rest.accel is not None]
+    if model is not None and len(readings) == len(rests):
+        verticals = unit_vector(model.apply(np.array(readings)))  # in the body frame
+    for i, rest in enumerate(rests):
+        position = None
+        with suppress(ProgrammeError):  # an attitude that is not in the programme
+            position = None if rest.attitude is None else from_attitudes([rest.attitude]).positions[0]
         row = {"rest": str(i + 1)} | ({"file": str(rest.file + 1)} if several else {})
         if programmed:
             row["position"] = NONE if position is None else position.label
@@ -172,9 +167,36 @@ def residuals(recording: RecordedSession, name: str) -> Section | None:
         return section(title, fits) if fits else None
     picture = None
     if name:
-        svg = figures.residuals(name, recording.recorded.rests, recording.recorded.turns)
+        svg = _residual_figure(name, recording.recorded.rests, recording.recorded.turns)
         picture = Figure(svg=svg, caption="Residual of every rest, and how far rests and turns are from the fit.")
     return section(title, f"{rest_summary(recording.recorded)}.", picture, fits)
+
+
+def _residual_figure(name: str, rests: Sequence[RestResult], turns: Sequence[TurnResult]) -> str:
+    """Draw the residuals of the rests, and the distance of rests and turns from the fit in sigmas."""
+    numbers = np.arange(1, len(rests) + 1)
+
+    def draw(figure: Canvas) -> None:
+        top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(1.25, 1.0))
+        values = np.array([rest.residual for rest in rests])
+        size, unit = engineering("m/s^2", float(np.sqrt(np.mean(values**2))))
+        top.axhline(0.0, color=GREY, linewidth=0.6)
+        top.bar(numbers, values / size, width=0.55, color=COLOURS[0])
+        top.set(ylabel=unit, title="|corrected reading| − g")
+        bottom.plot(numbers, [rest.sigmas for rest in rests], "o", markersize=4, color=COLOURS[0], label="rests")
+        if turns:
+            between = [0.5 * (turn.first + turn.last) + 1.0 for turn in turns]
+            sigmas = [turn.sigmas for turn in turns]
+            bottom.plot(between, sigmas, "D", markersize=3.5, color=COLOURS[1], label="turns")
+        bottom.axhline(FIT_SIGMAS, color="#b02a2a", linewidth=0.8, linestyle="--", label="limit")
+        bottom.set(ylabel="sigmas", xlabel="rest", title="distance from the fit", ylim=(0.0, None))
+        figure.legend(*bottom.get_legend_handles_labels(), loc="outside lower right", ncols=3)
+        for axes in (top, bottom):
+            grid(axes)
+        bottom.set_xticks(range(1, len(rests) + 1, math.ceil(len(rests) / _MAX_TICKS)))
+        bottom.set_xlim(0.4, len(rests) + 0.6)
+
+    return svg_of(name, PAGE_WIDTH, 3.5, draw)
 
 
 def _fit_table(recording: RecordedSession) -> Table | None:
@@ -185,7 +207,7 @@ def _fit_table(recording: RecordedSession) -> Table | None:
             "residuals of": name,
             "chi-square": f"{fit.chi_square:.1f}",
             "degrees of freedom": f"{fit.degrees:.1f}",
-            "probability": f"{fit.probability:.2f}" if has_redundancy(fit) else "",
+            "probability": f"{fit.probability:.2f}" if fit.degrees >= 0.5 else "",
             "scatter added": in_engineering(fit.unit, fit.scatter) if fit.scatter > 0.0 else "none",
         }
         for name, fit in recording.recorded.fits.items()

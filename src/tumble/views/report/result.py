@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
+from tumble.result.correction import session_rate
 from tumble.result.coverage import expanded
 from tumble.result.further import (
     accepted_groups,
@@ -25,7 +27,8 @@ from tumble.result.parts import Parameter
 from tumble.result.unaided import improvement
 from tumble.run.calibrate import ITERATED_METHODS
 from tumble.sensors.model import WORDS
-from tumble.sensors.parameters import sensor_kind
+from tumble.sensors.parameters import THERMAL, group_name, sensor_kind, variable_of, within_kind
+from tumble.units import DEGREE, G_STANDARD, engineering, two_digits
 from tumble.views.blocks import Block, Facts, Figure, Items, Section, Table, Text, Tone, section, table
 from tumble.views.calibration import MEANING_OF_INCREMENTS, group_table, iteration_table, launch_table, unknown_blocks
 from tumble.views.numbers import (
@@ -41,10 +44,14 @@ from tumble.views.numbers import (
     shown_units,
     significant,
     to_digits_of,
+    unit_text,
     with_expanded,
 )
-from tumble.views.report.application import added_terms
-from tumble.views.report.figures import before_and_after
+from tumble.views.render.pictures import COLOURS, FAINT, GREY, PAGE_WIDTH, svg_of
+from tumble.views.report.application import BEYOND, added_terms
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Canvas
 
 Cells = Callable[[Parameter, float], dict[str, str]]
 """Function that returns further cells by heading for a parameter and the size of its display unit in SI."""
@@ -66,6 +73,35 @@ def result(calibration: Calibration, name: str) -> Section:
         )
         blocks.append(Figure(svg=before_and_after(name, calibration), caption=caption))
     return section("Result", *verdict_blocks(calibration), *blocks[not sentences :], *value_blocks(calibration))
+
+
+def before_and_after(name: str, calibration: Calibration) -> str:
+    """Draw, for each parameter, its error of a reading at 1 g or at the rate of the session before the calibration, and
+    its standard uncertainty afterwards."""
+    rate, linear = session_rate(calibration), [p for p in linear_parameters(calibration.parameters) if p.u]
+    shown = {kind: [p for p in linear if sensor_kind(p.name) == kind] for kind in accepted_kinds(calibration)}
+    kinds = [kind for kind, parameters in shown.items() if parameters]
+
+    def draw(figure: Canvas) -> None:
+        for axes, kind in zip(figure.subplots(1, len(kinds), squeeze=False)[0], kinds, strict=True):
+            unit, full = ("m/s^2", G_STANDARD) if kind == "accel" else ("rad/s", rate)
+            in_reading = [1.0 if within_kind(group_name(p.name)) == "bias" else full for p in shown[kind]]
+            before = np.array([abs(p.value) * w for p, w in zip(shown[kind], in_reading, strict=True)])
+            after = np.array([(p.u or 0.0) * w for p, w in zip(shown[kind], in_reading, strict=True)])
+            (size, per), rows = engineering(unit, float(np.median(before))), -np.arange(len(before))
+            axes.set_ylim(0.5 - len(before), 0.5)  # whole dots in the first and the last row
+            axes.hlines(rows, after / size, before / size, color=FAINT, linewidth=2.0)
+            axes.plot(before / size, rows, "o", color=GREY, markersize=4, label="before: the error")
+            axes.plot(after / size, rows, "o", color=COLOURS[kind == "gyro"], markersize=4, label=f"after: u, {kind}")
+            where = "in 1 g" if kind == "accel" else f"at {two_digits(rate / DEGREE)} °/s"
+            axes.set(xscale="log", xlabel=per, title=f"{WORDS[kind]}, {where}")
+            axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+            axes.set_yticks(rows, [within_kind(p.name) for p in shown[kind]])
+            axes.grid(axis="x", color=FAINT, linewidth=0.5)
+        handles = {label: h for axes in figure.axes for h, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+        figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=3)
+
+    return svg_of(name, PAGE_WIDTH, 0.8 + 0.15 * max(map(len, shown.values())), draw)
 
 
 def verdict_blocks(calibration: Calibration, sentence_for: Callable[[str], str] = str) -> list[Block]:
@@ -105,7 +141,14 @@ def value_blocks(calibration: Calibration, further: Cells | None = None) -> list
             f"with ν degrees of freedom, where it was estimated from few residuals. {scope_of_u(calibration)} "
             '1 µg is 9.80665·10⁻⁶ m/s², " a second of arc.'
         )
-        blocks += [_parameter_table(calibration, further), Text(text=meaning, tone="small")]
+        blocks.append(_parameter_table(calibration, linear_parameters(calibration.parameters), further))
+        if coefficients := [p for p in calibration.parameters if variable_of(p.name) in THERMAL]:
+            caption = (
+                "Coefficients of temperature: a parameter at T is its value at the reference temperature T₀ plus "
+                "t1 (T − T₀) + t2 (T − T₀)² + t3 (T − T₀)³."
+            )
+            blocks.append(_parameter_table(calibration, coefficients, lambda p, _: _in_si(p), caption))
+        blocks.append(Text(text=meaning, tone="small"))
     if calibration.prediction is not None:
         errors = linear_errors_text(calibration)
         linear = f", with the whole correction; {errors}" if errors else ""
@@ -132,56 +175,62 @@ def scope_of_u(calibration: Calibration) -> str:
     return "It is of the one power-on that was recorded; what changes at the next one is not in it."
 
 
-def _parameter_table(calibration: Calibration, further: Cells | None) -> Table:
-    """Return the linear parameters with U and, if any, coverage factors other than 2, and deviations from the
-    systematic values and between launches."""
-    parameters = linear_parameters(calibration.parameters)
+def _parameter_table(
+    calibration: Calibration, parameters: Sequence[Parameter], further: Cells | None, caption: str = ""
+) -> Table:
+    """Return parameters with U and, if any, coverage factors other than 2, and deviations from the systematic values
+    and between launches."""
     factors = has_other_factors(parameters)
     passport = any(p.deviation is not None for p in parameters)
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         (value, shown), U = with_expanded(p, size), expanded(p)
-        row = {"": parameter_words(p.name), "mean" if calibration.evidence.launches else "value": value}
-        row |= {"U (95 %)": shown, "unit": unit}
+        row = {} if caption else {"": parameter_words(p.name)}
+        row |= {"mean" if calibration.evidence.launches else "value": value, "U (95 %)": shown, "unit": unit}
         row |= {"k": factor(p), "ν": degrees(p)} if factors else {}
         row |= {"run to run": run_to_run(p.run_to_run, size)} if calibration.evidence.launches else {}
         row |= {"from nominal": to_digits_of(p.deviation, U, size)} if passport else {}
         return row | ({} if further is None else further(p, size))
 
-    halves = len(parameters) > _MAX_ROWS
-    shown = quantity_table(parameters, shown_units(parameters), row, words=("",), halves=halves)
-    return replace(shown, dense=len(shown.columns) > _MAX_LARGE_COLUMNS)
+    halves = len(parameters) > _MAX_ROWS and not caption
+    units = shown_units(parameters)
+    shown = quantity_table(parameters, units, row, words=("", "SI unit"), caption=caption, halves=halves)
+    return replace(shown, dense=len(shown.columns) > _MAX_LARGE_COLUMNS or bool(caption))
+
+
+def _in_si(p: Parameter) -> dict[str, str]:
+    """Return the value as the correction applies it."""
+    return {"value, SI": significant(p.value, 8), "SI unit": unit_text(p.unit)}
 
 
 def beyond(calibration: Calibration, *, groups: bool) -> Section | None:
-    """Return the parameters beyond the linear model; with `groups` also a row for each group and the biases decided by
-    priors."""
-    further = further_parameters(calibration.parameters)
-    group_lines = group_table(calibration, on_page=True)
-    if not (group_lines.rows if groups else further):
+    """Return the parameters beyond the linear model other than coefficients of temperature; with `groups` also a row
+    for each group and the biases decided by priors."""
+    further = [p for p in further_parameters(calibration.parameters) if variable_of(p.name) not in THERMAL]
+    group_rows = group_table(calibration, on_page=True)
+    if not (group_rows.rows if groups else further):
         return None
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
         value, u = cells(p.value, p.u, size)
         prior = "" if p.prior is None else significant(p.prior / size, 4)
-        return {"value": value, "u": u, "k": factor(p), "unit": unit, "prior": prior, FROM_DATA: percent(p.learned)}
+        row = {"value": value, "u": u, "k": factor(p), "unit": unit, "prior": prior, FROM_DATA: percent(p.learned)}
+        return row | _in_si(p)
 
     meaning = (
         "Each group has a prior, its usual size: the standard deviation over instruments of its grade or that of the "
         "data sheet, or as many times that as the data show. From data is how much of the prior's variance the "
         "recording has taken off: at 0 % only the prior is known."
     )
-    caption = (
-        "u is the standard uncertainty, k u the half width of the interval of 95.45 %, prior a standard deviation."
-    )
+    caption = "u: standard uncertainty; k u: half width of the interval of 95.45 %; prior: standard deviation."
     blocks: list[Block] = [meaning]
     if groups:
         decided = decided_by_priors(calibration)
-        blocks += [group_lines, *([f"{decided[0].upper()}{decided[1:]}."] if decided else [])]
+        blocks += [group_rows, *([f"{decided[0].upper()}{decided[1:]}."] if decided else [])]
     if further:
-        halves = len(further) > _MAX_ROWS
-        blocks.append(quantity_table(further, shown_units(further), row, caption=caption, dense=True, halves=halves))
-    return section("Beyond bias, scale factors and axes", *blocks)
+        units = shown_units(further)
+        blocks.append(quantity_table(further, units, row, words=("SI unit",), caption=caption, dense=True))
+    return section(BEYOND, *blocks)
 
 
 def unknown(calibration: Calibration) -> Section | None:

@@ -69,7 +69,7 @@ function hasStopped() {
 function verdict() {
   const { result, wanted } = state;
   if (!result) return "";
-  const left = missed(result.parameters, wanted);
+  const left = result.accepted ? missed(result.parameters, wanted) : [];
   return `Calibrated: ${result.accepted ? "accepted" : "not accepted"}${left.length ? `; not reached: ${left.join(", ")}` : ""}`;
 }
 
@@ -129,7 +129,7 @@ function estimate() {
   residuals(of("residuals"), left);
   show(of("rests"), left.length > 0);
   show(of("groups"), !result);
-  say(of("next"), next && !result ? `Best next: ${next}` : "");
+  say(of("next"), next && !result && !state.position ? `Best next: ${next}` : "");
   say(of("cause"), cause);
   show(of("cause"), Boolean(cause));
 }
@@ -144,8 +144,9 @@ function finish() {
   say(of("registered"), result.registered);
   const wished = result.parameters.filter((each) => each.group in state.wanted);
   const further = result.parameters.filter((each) => !(each.group in state.wanted));
-  parameters(of("parameters"), wished, state.wanted);
-  parameters(of("further").querySelector("table"), further, state.wanted);
+  const wanted = result.accepted ? state.wanted : {}; // nothing is reached by values that must not be used
+  parameters(of("parameters"), wished, wanted);
+  parameters(of("further").querySelector("table"), further, wanted);
   say(of("further").querySelector("summary"), `${further.length} further parameters, of which nothing is wanted`);
   show(of("further"), further.length > 0);
   of("reasons").replaceChildren(...result.reasons.map((reason) => made("li", reason)));
