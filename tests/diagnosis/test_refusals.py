@@ -513,6 +513,16 @@ def test_the_sign_of_all_gyros_is_named(recording: Recording, tmp_path: Path) ->
     assert "the sign of gyro x, y, z is wrong" in reason(recording.times(GYRO, -1.0), tmp_path / "session")
 
 
+@pytest.mark.parametrize("axis", range(3))
+def test_left_handed_triads_are_right_handed_by_axes(hand: Recording, tmp_path: Path, axis: int) -> None:
+    left = hand.times([ACCEL[axis], GYRO[axis]], -1.0)
+    said = reason(left, tmp_path / "left")
+    assert "or both triads are left-handed: one axis of each is reversed (name it by axes in" in said
+    axes = np.diag([-1.0 if k == axis else 1.0 for k in range(3)]).tolist()
+    found = tumble.calibrate(left.saying(accel__axes=axes, gyro__axes=axes).write(tmp_path / "right"))
+    assert found.outcome.accepted, found.outcome.reasons
+
+
 def test_accelerometers_that_read_minus_g_are_named_where_a_programme_or_the_earth_shows_it(
     table: Recording, simulated: Simulated, tmp_path: Path
 ) -> None:
@@ -548,12 +558,41 @@ def test_no_signed_permutation_of_the_gyros_is_left_without_words(
 # -------------------- channels --------------------
 
 
-def test_gyros_clipped_in_fast_turns_are_named(recording: Recording, tmp_path: Path) -> None:
+def test_gyros_clipped_in_fast_turns_lose_these_turns(recording: Recording, tmp_path: Path) -> None:
+    """The accelerometers are calibrated, and the gyros from the other turns if there are enough."""
     for column in GYRO:
         limit = 0.6 * float(recording.log[column].abs().max())  # type: ignore[arg-type]
-        said = reason(recording.clipped([column], limit), tmp_path / column)
-        assert f"column {column!r} is clipped" in said
-        assert "turn more slowly" in said
+        found = tumble.calibrate(recording.clipped([column], limit).write(tmp_path / column))
+        assert found.outcome.accel.accepted, found.outcome.accel.reasons
+        said = [*found.provenance.notes, *found.outcome.reasons]
+        assert any(f"column {column!r} is clipped" in each and "turn more slowly" in each for each in said)
+        turns = [each for each in said if "is left out: gyros are clipped in" in each]
+        assert turns or not found.outcome.gyro.accepted
+
+
+def test_one_clipped_turn_costs_this_turn_alone(hand: Recording, tmp_path: Path) -> None:
+    rates = hand.log["gx"].to_numpy()
+    fastest = int(np.abs(rates).argmax())
+    near = slice(max(fastest - 60, 0), fastest + 60)
+    largest = 1.05 * np.abs(rates).max()
+    clipped = hand.changed("gx", near, lambda values: np.clip(3.0 * values, -largest, largest))
+    found, whole = (
+        tumble.calibrate(each.write(tmp_path / name)) for name, each in (("clipped", clipped), ("whole", hand))
+    )
+    assert found.outcome.accepted, found.outcome.reasons
+    assert sum("gyros are clipped" in each for each in found.provenance.notes) == 1
+    for name in ("gyro.scale.x", "gyro.scale.y", "gyro.scale.z"):
+        assert abs(found[name].value - whole[name].value) < 3.0 * found[name].u
+
+
+def test_gyros_clipped_in_too_many_turns_leave_the_accelerometers(hand: Recording, tmp_path: Path) -> None:
+    clipped = hand.clipped(GYRO, 0.5)
+    found = tumble.calibrate(clipped.write(tmp_path / "clipped"))
+    alone = tumble.calibrate(clipped.without_gyros().write(tmp_path / "alone"))
+    assert found.outcome.accel.accepted
+    assert [each.split("'")[1] for each in found.outcome.gyro.reasons] == list(GYRO)
+    for name in alone:
+        assert (found[name].value, found[name].u) == (alone[name].value, alone[name].u)
 
 
 @pytest.mark.parametrize("limit", [9.0, 5.0])
@@ -567,8 +606,10 @@ def test_a_reading_at_full_scale_is_clipped_where_the_range_is_stated(recording:
     largest = recording.log["gx"].abs().arg_max() or 0
     beyond = 1.1 * float(recording.log["gx"].abs().max())  # type: ignore[arg-type]
     touched = recording.changed("gx", slice(largest, largest + 3), lambda _: beyond)
-    said = reason(touched.saying(gyro__range=beyond), tmp_path / "session")
+    found = tumble.calibrate(touched.saying(gyro__range=beyond).write(tmp_path / "session"))
+    (said,) = (each for each in found.provenance.notes if "is clipped" in each)
     assert "column 'gx' is clipped: it reaches its range, 3 samples in a row" in said
+    assert any("is left out: gyros are clipped in 3 of its samples" in each for each in found.provenance.notes)
 
 
 def test_a_clipped_channel_is_named_once_and_in_order(hand: Recording, tmp_path: Path) -> None:

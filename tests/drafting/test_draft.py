@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -222,6 +223,26 @@ def test_a_rate_that_the_times_show_is_known_as_they_are(
     assert ("time: the column shows the rate given, " in said) == shown
     assert ("column 'time_ms' is not used, since the rate was given" in said) == (not shown)
     assert "leave --sample-rate out" not in said
+
+
+@pytest.mark.parametrize("column", ["gx", "gy", "gz"])
+def test_one_gyro_in_another_unit_than_the_others_is_named(column: str, handheld: pl.DataFrame, tmp_path: Path) -> None:
+    """A common scale by the turns of all three would be neither unit."""
+    session, _ = drafted(handheld.with_columns(pl.col(column) / DEGREE), tmp_path)
+    (said,) = inspect_session(session).faults
+    factor = re.search(rf"column {column!r} reads about ([\d.]+) times what it should, as in another unit", said)
+    assert factor is not None, said
+    assert float(factor[1]) == pytest.approx(1.0 / DEGREE, rel=0.1)
+
+
+def test_names_of_accelerometers_and_gyros_that_are_exchanged_are_refused(
+    handheld: pl.DataFrame, tmp_path: Path
+) -> None:
+    other = dict(zip(named("a", "g"), named("g", "a"), strict=True))
+    handheld.rename(other).write_parquet(tmp_path / "in.parquet")
+    result = new(tmp_path / "session", "--log", tmp_path / "in.parquet")
+    assert result.exit_code != 0
+    assert "their names are exchanged; state --accel gx,gy,gz --gyro ax,ay,az" in result.stderr
 
 
 def test_a_log_without_times_or_gyros_is_drafted_and_says_so(handheld: pl.DataFrame, tmp_path: Path) -> None:

@@ -78,6 +78,18 @@ def test_a_jump_of_one_sensor_is_no_wander_and_is_named_where_it_is(hand: Record
     assert any("after rest 9 " in one for one in said), made.outcome
 
 
+@pytest.mark.parametrize("seed", [5, 6])
+def test_rows_lost_without_time_stamps_are_no_jump_that_no_rest_shows(seed: int, tmp_path: Path) -> None:
+    setup = tumble.Setup.of(grade="mems", positions=14, sample_rate=50.0)
+    log = pl.read_parquet(tumble.simulate_session(tmp_path / "s", setup, seed=seed) / "log.parquet")
+    log = log.filter(np.random.default_rng(seed).uniform(size=log.height) > 0.005)
+    accel, gyro = (log.select(f"{kind}{axis}" for axis in "xyz").to_numpy() for kind in "ag")
+    made = tumble.calibrate(accel=accel, gyro=gyro, rate=50.0, **SITE)
+    said = [*made.outcome.reasons, *made.outcome.remarks]
+    assert any("samples are missing or held" in one for one in said)
+    assert not any("biases of the gyros jump" in one for one in said)
+
+
 @pytest.mark.parametrize("size", [0.3, 1.0, 3.0])
 def test_a_jump_of_the_gyros_is_named_and_spoils_their_biases_alone(hand: Recorded, size: float) -> None:
     made = tumble.calibrate(hand.session(gyro=jumped(hand, size, 9)))

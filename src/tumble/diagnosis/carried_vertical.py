@@ -8,7 +8,7 @@ nothing, nor do scale errors of a size that calibration removes.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -71,7 +71,7 @@ def vertical_faults(observations: Observations, session: Session, rate: float, g
     likelihoods, duration = turn_likelihoods(tilting), float(observations.rests.stop.max())
     others = [*_hypotheses(likelihoods, channels, session.log, rate, duration)]
     if likelihoods and block.triad:
-        others += _columns_of_other_scales(column_likelihoods(tilting, block.axes), channels)
+        others += _columns_of_other_scales(tilting, block.axes, channels)
     others.sort(key=lambda other: other[0])
     scale, stated_cost = 1.0, math.inf
     if likelihoods:
@@ -161,22 +161,33 @@ def _hypotheses(
     yield wrong_unit + cost_of_free_scale(WIDTHS.scale) + likelihoods[0].at(math.log(ratio)), text
 
 
-def _columns_of_other_scales(likelihoods: list[TurnLikelihood], channels: Channels) -> Iterator[tuple[float, str]]:
-    """Yield, for each column of the gyros, another scale of this column alone, as cost and text."""
-    free = cost_of_free_scale(WIDTHS.scale) - 2.0 * math.log(WIDTHS.named_wrongly / len(likelihoods))
+def _columns_of_other_scales(
+    turns: Sequence[tuple[Array, Array, Array]], axes: Array, channels: Channels
+) -> Iterator[tuple[float, str]]:
+    """Yield, for each column of a triad of gyros, another scale of this column alone, as cost and text.
+
+    A scale of counts may come from the same columns. Therefore those of counts are tried in rad/s and deg/s, too."""
+    tried = {"": np.ones(3)}  # factors of the stated readings, by what is said of the unit
+    if channels.raw:
+        counts = channels.scale / channels.unit.factor
+        tried |= {f" if they are in {name}": counts * GYRO_UNITS[name].factor for name in ("rad/s", "deg/s")}
     per = "" if channels.raw else f'unit = "count", scale_per = "{channels.unit_name}" and '
-    for column, (name, likelihood) in enumerate(zip(channels.columns, likelihoods, strict=True)):
-        ratio, scale = likelihood.found(), channels.scale.copy()
-        scale[column] *= ratio
-        remedy = f"{per}scale = [{', '.join(f'{value:.4g}' for value in scale)}] in [log.gyro] would fit"
-        if not channels.raw and channels.unit_name not in GyroTable.SCALE_PER:
-            remedy = "divide it by this"
-        text = (
-            f"; column {name!r} reads about {ratio:.3g} times what it should, as in another unit or range than the "
-            f"other columns: {remedy}"
-        )
-        if abs(math.log(ratio)) > SMALL_SCALE_ERROR:
-            yield free + likelihood.at(math.log(ratio)), text
+    for condition, factor in tried.items():
+        scaled = (axes.T * factor) @ np.linalg.inv(axes).T
+        likelihoods = column_likelihoods([(angles @ scaled, *verticals) for angles, *verticals in turns], axes)
+        free = cost_of_free_scale(WIDTHS.scale) - 2.0 * math.log(WIDTHS.named_wrongly / len(likelihoods) / len(tried))
+        for column, (name, likelihood) in enumerate(zip(channels.columns, likelihoods, strict=True)):
+            ratio, scale = likelihood.found(), channels.scale / factor
+            scale[column] *= ratio
+            remedy = f"{per}scale = [{', '.join(f'{value:.4g}' for value in scale)}] in [log.gyro] would fit"
+            if not channels.raw and channels.unit_name not in GyroTable.SCALE_PER:
+                remedy = "divide it by this"
+            text = (
+                f"; column {name!r} reads about {ratio:.3g} times what it should, as in another unit or range than the "
+                f"other columns{condition}: {remedy}"
+            )
+            if abs(math.log(ratio)) > SMALL_SCALE_ERROR:
+                yield free + likelihood.at(math.log(ratio)), text
 
 
 def _missed_angles(observations: Observations, gyro: SensorModel, vertical: Array) -> Array:

@@ -64,7 +64,7 @@ class Candidate:
     largest_u: float = np.inf  # SI: it is not tested where its size is more uncertain
     places: int = 1  # number of places of which this is the most likely one
     sized: int | None = None  # columns, the first ones, that give the size; None for all
-    abrupt: bool = False  # whether larger in-run biases than usual could have followed it
+    abrupt: bool = False  # larger in-run biases than usual could have followed it, or an error of one turn resembles it
     direct: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """By group, the change beside the effect on the rows, per unit of the size, and its standard uncertainty."""
 
@@ -105,6 +105,8 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
             if c.abrupt and steady.drop > excess + scipy.special.chdtri(steady.rank, FALSE_ALARMS / places[name]):
                 projection, judged = by_usual, steady
             p_value = max(each.p_value(f.drop, f.rank) for each, f in ((by_noise, first), (projection, judged)))
+            if c.abrupt:  # and the jump beside an error of the turn there alone
+                p_value = max(p_value, by_usual.p_value_beside(steady, by_usual.fit(own_columns[c.sized :])))
             p_value = min(1.0, places[name] * p_value)
             if name in best and best[name][0].p_value <= p_value:
                 continue
@@ -130,7 +132,7 @@ def fit_candidates(linearised: Linearisation, candidates: Sequence[Candidate]) -
 def _beside_the_likeliest(found: list[tuple[Finding, IntArray, Projection]]) -> list[Finding]:
     """Return the causes, the likeliest first if it is significant, with the p-values of the others beside it.
 
-    A cause is named with it if neither explains anything beside the other."""
+    A significant cause is named with it if neither explains anything beside the other."""
     causes = [cause for cause, *_ in found]
     if not causes or min(cause.p_value for cause in causes) > FALSE_ALARMS:
         return causes
@@ -141,13 +143,8 @@ def _beside_the_likeliest(found: list[tuple[Finding, IntArray, Projection]]) -> 
         both, own_fit = projection.fit(np.concatenate([best_columns, columns])), projection.fit(columns)
         if columns is best_columns or both is None or own_fit is None:
             continue
-        beside, reversed_ = (
-            projection.p_value(both.drop - before.drop, both.rank - before.rank, (before.drop, before.rank))
-            if both.rank > before.rank
-            else 1.0
-            for before in (best_fit, own_fit)
-        )
-        if min(beside, reversed_) > FALSE_ALARMS:
+        beside, reversed_ = (projection.p_value_beside(both, before) for before in (best_fit, own_fit))
+        if min(beside, reversed_) > FALSE_ALARMS >= cause.p_value:
             by_group = {name: max(size, cause.by_group[name]) for name, size in best.by_group.items()}
             found_both = f"{found_in(best.sentence)}; or, indistinguishable in this session: {found_in(cause.sentence)}"
             sentence = advised(found_both, " or ".join(filter(None, map(remedy_of, (best.sentence, cause.sentence)))))
@@ -289,8 +286,9 @@ def _per_g(kind: str, power: int) -> tuple[float, str]:
 def jumps(session: LinearisedSession) -> Iterator[Candidate]:
     """Yield a jump of the biases of each kind of sensor after some rest, as of a driver that measures them anew.
 
-    The turn there has a bias of its own, as the jump may be anywhere in it. The parameters are the means over the
-    rests, and the jump is about these."""
+    The turn there has a bias of its own, as the jump may be anywhere in it. Any error of this turn is such a bias, so
+    that the jump must also be significant beside it, by the rests and the other turns. The parameters are the means
+    over the rests, and the jump is about these."""
     rests, parts = session.observations.rests, session.problem.parts
     at_rest, (in_turn, there) = np.zeros((len(rests), 1)), np.zeros((2, len(session.problem.before_turn), 1, 1))
     lasts = [np.arange(part.rests.start, part.rests.stop)[RESTS_BESIDE_JUMP - 1 : -RESTS_BESIDE_JUMP] for part in parts]

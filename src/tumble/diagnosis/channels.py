@@ -5,6 +5,7 @@ at rest, with the unit, scale, offset or columns that would explain it.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -166,14 +167,23 @@ def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> list[str]:
     ]
 
 
-def channel_faults(reduction: Reduction, log: LogSpec) -> list[str]:
-    """Return the channels that are dead, stuck, clipped or damaged."""
+@dataclass(frozen=True, kw_only=True, slots=True)
+class ChannelFault:
+    """A fault of a sensor, by its number among those of its kind."""
+
+    sensor: int
+    sentence: str
+    clipped: bool = False  # the sensor is sound within its range
+
+
+def channel_faults(reduction: Reduction, log: LogSpec) -> tuple[list[ChannelFault], list[ChannelFault]]:
+    """Return the accelerometers and the gyros that are dead, stuck, clipped or damaged."""
     accel, gyros = block_means(reduction)
-    faults = list(_faults_of_kind(reduction.accel_channels, accel, log.accel, reduction.rate, "use a larger range"))
-    if log.gyro is not None:
-        advice = "use a larger range or turn more slowly"
-        faults += _faults_of_kind(reduction.gyro_channels, gyros, log.gyro, reduction.rate, advice)
-    return faults
+    of_accel = list(_faults_of_kind(reduction.accel_channels, accel, log.accel, reduction.rate, "use a larger range"))
+    if log.gyro is None:
+        return of_accel, []
+    advice = "use a larger range or turn more slowly"
+    return of_accel, list(_faults_of_kind(reduction.gyro_channels, gyros, log.gyro, reduction.rate, advice))
 
 
 def block_means(reduction: Reduction) -> tuple[Array, Array]:
@@ -184,7 +194,7 @@ def block_means(reduction: Reduction) -> tuple[Array, Array]:
 
 def _faults_of_kind(
     states: tuple[ChannelState, ...], means: Array, channels: Channels, rate: float, advice: str
-) -> Iterator[str]:
+) -> Iterator[ChannelFault]:
     """Yield the faults of the channels of one kind of sensor; `means` (K, n) are those of blocks, SI."""
 
     def logged(value: float, sensor: int) -> str:
@@ -195,17 +205,20 @@ def _faults_of_kind(
     for i, (column, state) in enumerate(zip(channels.columns, states, strict=True)):
         extreme = max(state.minimum, state.maximum, key=abs)
         if abs(extreme) > LARGEST_READING:
-            yield Advised(
+            sentence: str = Advised(
                 f"column {column!r} is damaged: it reads {logged(extreme, i)}, which no sensor does",
                 "remove such rows or write nan in them",
             )
+            yield ChannelFault(sensor=i, sentence=sentence)
         elif state.minimum == state.maximum:
-            yield f"column {column!r} is dead: all {state.samples} samples are {logged(state.minimum, i)}"
+            dead = f"column {column!r} is dead: all {state.samples} samples are {logged(state.minimum, i)}"
+            yield ChannelFault(sensor=i, sentence=dead)
         elif clipped := _clipped(state, means[:, i], channels.range):
-            yield Advised(f"column {column!r} is clipped: {clipped}, up to {state.extreme_stop:.2f} s", advice)
+            sentence = Advised(f"column {column!r} is clipped: {clipped}, up to {state.extreme_stop:.2f} s", advice)
+            yield ChannelFault(sensor=i, sentence=sentence, clipped=True)
         elif state.run >= rate and _is_fault(state, state.run, state.run):
-            value = logged(state.run_value, i)
-            yield f"column {column!r} is stuck: {state.run} samples in a row are {value}, up to {state.run_stop:.2f} s"
+            stuck = f"{state.run} samples in a row are {logged(state.run_value, i)}, up to {state.run_stop:.2f} s"
+            yield ChannelFault(sensor=i, sentence=f"column {column!r} is stuck: {stuck}")
 
 
 def _clipped(state: ChannelState, means: Array, full_scale: float | None) -> str:
@@ -250,11 +263,11 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
         by_gyros = (logged - channels.offset[:n]) / channels.scale[:n] * channels.unit.factor
         by_gyros = by_gyros @ onto_body(channels.axes[:n]).T
         gyro_magnitude = float(np.median(np.linalg.norm(by_gyros, axis=1)))
-        like_gravity = _like_gravity(by_gyros)
+        gyros_like_gravity = like_gravity(by_gyros)
         in_a_unit = magnitude < 0.5 * g and bool(fitting_units(gyro_magnitude / unit_of_g, rates))
         if fitting_units(magnitude / unit_of_g, rates):  # a gyro bias may be near g; gravity has many directions
-            in_a_unit = in_a_unit and like_gravity and not _like_gravity(force)
-        if (is_near_one(gyro_magnitude / g) and like_gravity) or in_a_unit:
+            in_a_unit = in_a_unit and gyros_like_gravity and not like_gravity(force)
+        if (is_near_one(gyro_magnitude / g) and gyros_like_gravity) or in_a_unit:
             return [
                 Advised(
                     f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and "
@@ -265,7 +278,7 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
     read = f"the accelerometers read {magnitude:.4g} m/s^2 at the median, expected {g:.4g} m/s^2"
     if channels.raw:
         return [f"{read}: {_scale_or_offset(force, magnitude, channels, g)}"]
-    units = fitting_units(magnitude / unit_of_g, rates | (increments if _like_gravity(force) else {}))
+    units = fitting_units(magnitude / unit_of_g, rates | (increments if like_gravity(force) else {}))
     if units:
         fit = " or ".join(f'"{name}"' for name in units)
         return [f'{read}: the unit of [log.accel] is not "{channels.unit_name}"; {fit} would fit']
@@ -293,7 +306,7 @@ def scale_error(ratio: float) -> str:
     return f"{ratio:.3g} times too small" if ratio > 1.0 else f"{1.0 / ratio:.3g} times too large"
 
 
-def _like_gravity(force: Array) -> bool:
+def like_gravity(force: Array) -> bool:
     """Return True if vectors (K, 3) have one length and many directions, unlike those without gravity."""
     length = np.linalg.norm(force, axis=1)
     low, median, high = np.quantile(length, [0.25, 0.5, 0.75])

@@ -106,6 +106,14 @@ class Projection:
         overstated = min(1.0, self.chi_square / self.degrees)  # residuals below the stated noise prove nothing
         return float(scipy.special.fdtrc(rank, remaining, overstated * drop / rank / (chi_square / remaining)))
 
+    def p_value_beside(self, fit: ColumnFit, before: ColumnFit | None) -> float:
+        """Return the probability of the decrease by a fit beyond that by some of its columns, fitted `before`."""
+        if before is None:
+            return self.p_value(fit.drop, fit.rank)
+        if fit.rank <= before.rank:
+            return 1.0
+        return self.p_value(fit.drop - before.drop, fit.rank - before.rank, (before.drop, before.rank))
+
 
 def projections(
     linearised: Linearisation, components: VarianceComponents, rest: Array, turn: Array

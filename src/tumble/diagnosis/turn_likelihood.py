@@ -243,10 +243,18 @@ def signed_permutations() -> list[Array]:
 
 
 def columns_text(exchange: Array) -> str:
-    """Return the simplest explanations of a signed permutation of the gyros."""
+    """Return the simplest explanations of a signed permutation of the gyros.
+
+    Rates are pseudovectors: in a left-handed frame gyros read −ω of the turns that the accelerometers see."""
     explanations = _explanations(exchange)
     simplest = [words for changes, words in explanations if changes == min(explanations)[0]]
-    return f"{' or '.join(simplest)} (relative to the other sensors)"
+    text = f"{' or '.join(simplest)} (relative to the other sensors)"
+    if np.array_equal(exchange, -np.eye(3)):
+        text += (
+            ", or both triads are left-handed: one axis of each is reversed (name it by axes in [log.accel] and "
+            "[log.gyro], y as [[1, 0, 0], [0, -1, 0], [0, 0, 1]])"
+        )
+    return text
 
 
 def _explanations(exchange: Array) -> list[tuple[int, str]]:

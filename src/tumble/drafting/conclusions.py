@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from tumble.diagnosis.channels import like_gravity
 from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_text
 from tumble.drafting.foreign_log import Draft, linear_acceleration
 from tumble.drafting.hypotheses import Evidence, Hypothesis, gather_evidence, ranked_hypotheses
-from tumble.errors import TumbleError
+from tumble.errors import InputError, TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO, WITHOUT_GRAVITY
 from tumble.recording.columns.scales import COUNTS_PER, COUNTS_PER_SI, SensorScale
 from tumble.recording.session import USUAL_RATE_U
@@ -21,6 +22,7 @@ from tumble.run.observed import Progress, inspect_session
 from tumble.units import ACCEL_UNITS, DEGREE, GYRO_UNITS
 
 _GRAVITY_TOLERANCE = 0.3  # of gravity, for accelerometers in a stated unit
+_FEWEST_FOR_GRAVITY = 4  # rests in several attitudes that determine the length of a vector
 _LARGEST_BIAS = 20.0  # °/s; gyros that read more at rest have an offset
 _MOST_RIVALS = 3  # listed in a doubt, the likeliest
 _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
@@ -56,7 +58,8 @@ def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS) ->
     if ACCEL not in draft.triads:
         return out, []
     try:
-        faults = list(inspect_session(out.session(), progress=progress).faults)
+        observed = inspect_session(out.session(), progress=progress)
+        faults = [*observed.faults, *observed.gyro_faults]
     except (TumbleError, np.linalg.LinAlgError) as error:
         faults = [str(error)]
     if best.profile is None or best.gyro is None:
@@ -75,7 +78,7 @@ def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS) ->
 def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> Iterator[str]:
     """Yield doubts about accelerometers that do not read gravity in a unit.
 
-    Raises InputError if such accelerometers are named as linear acceleration."""
+    Raises InputError if such accelerometers are named as linear acceleration, or if the gyros read gravity."""
     if ACCEL not in draft.triads:
         return
     unit, columns = draft.unit(ACCEL), draft.triads[ACCEL].columns
@@ -89,8 +92,15 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> It
     ):
         if WITHOUT_GRAVITY.search(columns[0]):
             raise linear_acceleration(draft.files[0], columns)
+        if GYRO in draft.triads and evidence.rests >= _FEWEST_FOR_GRAVITY and like_gravity(evidence.gyro):
+            gyros = draft.triads[GYRO].columns
+            raise InputError(
+                f"{draft.files[0]}: expected gravity in the columns of the accelerometers, found it in those of the "
+                f"gyros ({', '.join(gyros)}), one length in many directions: their names are exchanged; state --accel "
+                f"{','.join(gyros)} --gyro {','.join(columns)}"
+            )
         finding = "the accelerometers read no whole numbers as counts are, and gravity in no unit"
-        if evidence.rests >= 4 and evidence.length_u < _GRAVITY_TOLERANCE:
+        if evidence.rests >= _FEWEST_FOR_GRAVITY and evidence.length_u < _GRAVITY_TOLERANCE:
             rests = f"rests in several attitudes read {evidence.length:.4g} per g, which is taken for their scale"
             yield f"{finding}: {rests}"
         else:

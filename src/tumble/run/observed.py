@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -42,7 +43,7 @@ from tumble.reduction.rests.matching import match_rests, without_jump, without_n
 from tumble.reduction.rests.rests import thermometers_of
 from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
 from tumble.reduction.turns.links import links_of
-from tumble.reduction.turns.turns import torn_turns, without_ambiguous_turns
+from tumble.reduction.turns.turns import clipping_limits, torn_turns, without_ambiguous_turns
 from tumble.rotation import onto_body
 from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
@@ -149,8 +150,9 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
     log = open_log(session)
     reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log), tuning)
     digest = beside.submit(log.sha256)
+    of_accel, of_gyros = channel_faults(reduction, session.log)
     faults = (
-        channel_faults(reduction, session.log)
+        [fault.sentence for fault in of_accel]
         or accelerometer_faults(reduction, session)
         or mixed_rows(reduction, session.log)
     )
@@ -171,7 +173,17 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         segmentation = without_times(reduction, segmentation, session.excluded)
         segmentation = replace(segmentation, stated_rate=session.log.rate)
         if session.gyro_block is not None and session.log.gyro is not None:
-            reduction = without_ambiguous_turns(reduction, segmentation.rests, session.gyro_block, session.log.gyro)
+            clipped = [fault.sensor for fault in of_gyros if fault.clipped]
+            reduction = without_ambiguous_turns(
+                reduction, segmentation.rests, session.gyro_block, session.log.gyro, clipped
+            )
+            enough = len(clipped) == len(of_gyros) and _suffices(reduction, segmentation, clipped)
+            if of_gyros and not (faults or enough):
+                alone = inspected(session.without_gyros(), progress, beside, tuning)
+                sentences = tuple(fault.sentence for fault in of_gyros)
+                if alone.observations is not None and not alone.faults:
+                    return replace(alone, gyro_faults=sentences)
+                faults = list(sentences)
         observations = _observed(session, reduction, segmentation.rests)
         trial = observations
         if trial is None and not faults:
@@ -198,8 +210,25 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         gyro_faults=tuple(gyro_faults),
         gyro_bias_faults=() if faults else segmentation.jumped(),
         recorded=log.recorded,
-        notes=log.notes,
+        notes=(*log.notes, *(fault.sentence for fault in of_gyros if not faults)),
     )
+
+
+def _suffices(reduction: Reduction, segmentation: Segmentation, clipped: list[int]) -> bool:
+    """Return True if gyros of which some are `clipped` are sound in all rests and in enough turns.
+
+    A turn tells the n integrals of the gyros but one, as the heading after it is not known, and each gyro has a scale
+    factor and two angles. The motion from rest to rest, of a recording with few rests, must be sound as a whole."""
+    rests, files, n = segmentation.rests, reduction.by_file, len(reduction.gyro_channels)
+    if len(rests) < FEWEST_RESTS:
+        return False
+    low, high = clipping_limits(reduction, clipped)
+    for rest in rests:
+        readings = files[rest.file].gyro.ends[rest.first : rest.last]
+        if ((readings <= low) | (readings >= high)).any():
+            return False
+    sound = sum(before.file == after.file for before, after in pairwise(rests)) - len(torn_turns(rests, reduction.gaps))
+    return (n - 1) * sound >= 3 * n
 
 
 def grade_of(session: Session, observations: Observations) -> tuple[str, str]:

@@ -436,9 +436,11 @@ class Session(Brief):
 
     def of_known_scales(self) -> Session:
         """Return the session without its gyros if the scale of their counts is not stated."""
+        return self if self.log.gyro is None or self.log.gyro.scale_stated else self.without_gyros()
+
+    def without_gyros(self) -> Session:
+        """Return the session with its accelerometers alone."""
         temperature = self.log.temperature
-        if self.log.gyro is None or self.log.gyro.scale_stated:
-            return self
         accel_alone = None if temperature is None else replace(temperature, gyro=())
         return replace(self, log=replace(self.log, gyro=None, temperature=accel_alone))
 

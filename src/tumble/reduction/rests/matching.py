@@ -21,7 +21,7 @@ from tumble.errors import ProgrammeError, SessionError
 from tumble.programme.positions import Programme
 from tumble.recording.session import Exclusion, ProgrammeSpec, Session
 from tumble.reduction.blocks.reducer import BLOCK_SECONDS, FileBlocks, Reduction
-from tumble.reduction.rests.segmentation import Segmentation, Stretch, gap_between
+from tumble.reduction.rests.segmentation import Segmentation, Stretch, breaking_gap, gap_between
 from tumble.rotation import onto_body, unit_vector
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, IntArray
@@ -197,6 +197,8 @@ def _check_turns(
     """Raise ProgrammeError unless the gyros measured the turns of the programme, in their directions."""
     for k, move in enumerate(listed.moves):
         before, after = rests[groups[k][-1]], rests[groups[k + 1][0]]
+        if breaking_gap(before, after, reduction.gaps) is not None:
+            continue
         turn = _rotation_between(session, reduction, before, after)
         if move.axis is None or move.angle is None or turn is None:
             continue

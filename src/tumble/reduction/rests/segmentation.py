@@ -110,6 +110,15 @@ def gap_between(before: Stretch, after: Stretch, samples: int, what: str, why: s
     return Gap(file=before.file, row=0, time=at, samples=samples, what=what, stop=stop, integrable=False, why=why)
 
 
+def breaking_gap(before: Stretch, after: Stretch, gaps: tuple[Gap, ...]) -> Gap | None:
+    """Return the last gap between two rests of a file over which the gyros cannot be integrated."""
+    for gap in reversed(gaps):
+        in_file = gap.file == before.file == after.file
+        if in_file and not gap.integrable and gap.time < after.start and gap.stop > before.stop:
+            return gap
+    return None
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LevelJump:
     """A jump of the gyro level at rest by `step` (3,), rad/s, at `time`, s, of a file, where a rest begins."""

@@ -16,7 +16,7 @@ in physical units, whose converter is unknown, are judged by the residuals of th
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import ClassVar
@@ -31,7 +31,7 @@ from tumble.reduction.noise.coloured_noise import ColouredNoise
 from tumble.reduction.noise.rounding import Rounding
 from tumble.reduction.rests.blemishes import NO_BAD_SAMPLES, BadSamples, bad_samples_of_turns
 from tumble.reduction.rests.rests import Rests
-from tumble.reduction.rests.segmentation import Stretch, gap_between
+from tumble.reduction.rests.segmentation import Stretch, breaking_gap, gap_between
 from tumble.reduction.rests.sway import FOURTH_DIFFERENCES, Sway
 from tumble.reduction.turns.array_motion import sensor_readings
 from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate_in_parts
@@ -49,6 +49,7 @@ MAX_CACHED_SAMPLES = 2**19  # samples of turns that may stay in memory, gathered
 AHEAD = 2  # samples kept ahead of every piece of a turn, for the first step
 CONVERTER_ENDS = 2.0 ** np.arange(11, 32)  # 2^k of converters of 12 to 32 bits
 EQUAL_READINGS = 1e-6  # relative difference of equal readings
+AT_RANGE = 1e-4  # relative difference of the ends of one range
 AT_CONVERTER_END = 1e-3  # counts: distance of a reading at the end of a converter
 HALF_TURN = math.pi
 
@@ -190,7 +191,7 @@ def reduced_turns(
     pairs = [
         (i, reduction.by_file[before.file], before, after)
         for i, (before, after) in enumerate(pairwise(spans))
-        if before.file == after.file and _breaking_gap(before, after, reduction.gaps) is None
+        if before.file == after.file and breaking_gap(before, after, reduction.gaps) is None
     ]
     edges = [
         [f.sample_at(block) for block in (0, before.first, before.last, after.first, after.last, len(f))]
@@ -320,28 +321,22 @@ def turn_readings(
 
 def torn_turns(spans: tuple[Stretch, ...], gaps: tuple[Gap, ...]) -> tuple[str, ...]:
     """Return notes on the turns between these rests that gaps break, with the reason."""
-    torn = [(i, _breaking_gap(before, after, gaps)) for i, (before, after) in enumerate(pairwise(spans), 1)]
+    torn = [(i, breaking_gap(before, after, gaps)) for i, (before, after) in enumerate(pairwise(spans), 1)]
     return tuple(
         f"turn from rest {i} to rest {i + 1} is left out: {gap.why}" for i, gap in torn if gap is not None and gap.why
     )
 
 
-def _breaking_gap(before: Stretch, after: Stretch, gaps: tuple[Gap, ...]) -> Gap | None:
-    """Return the last gap between two rests of a file over which the gyros cannot be integrated."""
-    for gap in reversed(gaps):
-        in_file = gap.file == before.file == after.file
-        if in_file and not gap.integrable and gap.time < after.start and gap.stop > before.stop:
-            return gap
-    return None
-
-
 def without_ambiguous_turns(
-    reduction: Reduction, rests: tuple[Stretch, ...], gyro: Block, channels: Channels
+    reduction: Reduction, rests: tuple[Stretch, ...], gyro: Block, channels: Channels, clipped_gyros: Sequence[int] = ()
 ) -> Reduction:
     """Return a reduction with gaps for the turns between these rests in which gyros are clipped, or read more than half
-    a turn from sample to sample (unless most turns do, which shows a wrong unit or rate)."""
+    a turn from sample to sample (unless most turns do, which shows a wrong unit or rate).
+
+    Gyros are clipped at the end of a converter, and `clipped_gyros`, by number, at their extreme readings."""
     clipped, fast = dict[int, Gap](), dict[int, Gap]()
     limits, turns, redundant = _converter_limits(reduction, channels), list(pairwise(rests)), gyro.size - 3
+    limits = np.where(np.isfinite(limits), limits, clipping_limits(reduction, clipped_gyros))
     may_clip = np.isfinite(limits).any()
     may_be_fast = 2.0 * np.abs(extremes(reduction.gyro_channels)).max() > HALF_TURN * reduction.rate
     for k, (before, after) in enumerate(turns if may_clip or may_be_fast else ()):
@@ -366,6 +361,16 @@ def without_ambiguous_turns(
         fast = {}
     gaps = {**fast, **clipped}
     return replace(reduction, gaps=(*reduction.gaps, *gaps.values())) if gaps else reduction
+
+
+def clipping_limits(reduction: Reduction, clipped: Sequence[int]) -> Array:
+    """Return the extreme gyro readings (2, n), SI, at the end of the range of a `clipped` gyro; else infinite.
+
+    Gyros of one chip have one range: an extreme of any of them that is as large is at its end, too."""
+    read = extremes(reduction.gyro_channels)
+    ends = np.abs(read[:, list(clipped)]).max(axis=0)
+    at_end = np.isclose(np.abs(read)[..., None], ends, rtol=AT_RANGE, atol=0.0).any(axis=2)
+    return np.where(at_end, read, np.array([[-np.inf], [np.inf]]))
 
 
 def _converter_limits(reduction: Reduction, channels: Channels) -> Array:
