@@ -174,7 +174,7 @@ def _columns_of_other_scales(
     per = "" if channels.raw else f'unit = "count", scale_per = "{channels.unit_name}" and '
     for condition, factor in tried.items():
         scaled = (axes.T * factor) @ np.linalg.inv(axes).T
-        likelihoods = column_likelihoods([(angles @ scaled, *verticals) for angles, *verticals in turns], axes)
+        likelihoods = column_likelihoods([(angles @ scaled, up, after) for angles, up, after in turns], axes)
         free = cost_of_free_scale(WIDTHS.scale) - 2.0 * math.log(WIDTHS.named_wrongly / len(likelihoods) / len(tried))
         for column, (name, likelihood) in enumerate(zip(channels.columns, likelihoods, strict=True)):
             ratio, scale = likelihood.found(), channels.scale / factor
