@@ -250,10 +250,11 @@ def tilt(row: Requirement) -> float:
     ],
 )
 def test_accelerometer_tolerances_are_those_of_the_reference(group: str, percent: float, tilt_deg: float) -> None:
-    """§7, by (7b) and (11), rms deviation per axis, independent in the nine positions."""
+    """§7, by (7b) and (11), rms deviation per axis, independent in the nine positions. Noise does not matter: the rests
+    are the shortest that `calibrate` finds."""
     spread = {"accel.scale": SCALE, "accel.bias": 2e-3, "accel.axis": AXIS}[group]
     row = needs(group, percent / 100.0 * spread, NINE, "sequential")
-    assert (row.reason, row.rest, row.mounting_error) == ("", 0.0, 0.0)
+    assert (row.reason, row.rest, row.mounting_error) == ("", 5, 0.0)
     assert tilt(row) == pytest.approx(tilt_deg, rel=0.01)
 
 

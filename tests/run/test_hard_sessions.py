@@ -13,6 +13,7 @@ import pytest
 import scipy
 
 import tumble
+from tumble.advice import found_in
 from tumble.recording.arrays import session_of_arrays
 from tumble.recording.session import Exclusion, Session
 from tumble.result.calibration import Calibration
@@ -84,7 +85,7 @@ def test_rows_lost_without_time_stamps_are_no_jump_that_no_rest_shows(seed: int,
     log = pl.read_parquet(tumble.simulate_session(tmp_path / "s", setup, seed=seed) / "log.parquet")
     log = log.filter(np.random.default_rng(seed).uniform(size=log.height) > 0.005)
     accel, gyro = (log.select(f"{kind}{axis}" for axis in "xyz").to_numpy() for kind in "ag")
-    made = tumble.calibrate(accel=accel, gyro=gyro, rate=50.0, **SITE)
+    made = tumble.calibrate(accel=accel, gyro=gyro, rate=50.0, latitude=SITE["latitude"], height=SITE["height"])
     said = [*made.outcome.reasons, *made.outcome.remarks]
     assert any("samples are missing or held" in one for one in said)
     assert not any("biases of the gyros jump" in one for one in said)
@@ -123,7 +124,7 @@ def test_accelerometers_that_gyros_would_spoil_are_estimated_alone(hand: Recorde
     assert (made.outcome.accel.accepted, made.outcome.gyro.accepted) == (True, False)
     (why,) = made.outcome.gyro.reasons
     assert why.startswith("scale factors of the gyros that depend on the rate")
-    assert why.endswith("the accelerometers are estimated alone")
+    assert found_in(why).endswith("the accelerometers are estimated alone")
     assert np.abs(hand.errors(made)).max() < 4.0
 
 

@@ -254,7 +254,7 @@ def test_the_command_takes_a_log(tmp_path: Path) -> None:
     folder = simulate_session(tmp_path / "made", Setup.of(grade="mems", positions=6), seed=1)
     made = calibration()
     made.write(tmp_path / "c.json")
-    log = shutil.copy(folder / "log.parquet", tmp_path)
+    log = str(shutil.copy(folder / "log.parquet", tmp_path))
     result = CliRunner().invoke(main, ["apply", str(tmp_path / "c.json"), log, "-o", str(tmp_path / "out.parquet")])
     assert result.exit_code == 0, result.stderr
     found, seen = pl.read_parquet(tmp_path / "out.parquet"), pl.read_parquet(log)

@@ -138,9 +138,12 @@ def _leave_out_other_rows(log: ForeignLog) -> list[Repair]:
 
 
 def _copied_rows(log: ForeignLog, time: list[str]) -> list[Repair]:
-    """Leave out rows that are in a log twice, with one time stamp and equal readings.
+    """Leave out rows that are in the file of a log twice, with one time stamp and equal readings.
 
-    Where a clock is coarse, stamps repeat with other readings."""
+    Where a clock is coarse, stamps repeat with other readings. Files with the same rows are refused when they are
+    read."""
+    if len(log.files) > 1:
+        return []
     columns = [*time, *(column for triad in log.columns.triads.values() for column in triad.columns)]
     rows = pl.DataFrame(log.read(columns), schema=columns, orient="row")
     repeated = _BLANK_SHARE * rows.height
