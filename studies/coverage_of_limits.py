@@ -21,7 +21,7 @@ from stored import shown, store
 from tumble.inference.joint import joint
 from tumble.lab.conformity import judge_value
 from tumble.planning.setup import Setup
-from tumble.result.coverage import degrees_of_mean, expanded, gravity_sensitivity
+from tumble.result.coverage import expanded, gravity_sensitivity, u_and_degrees_of_mean
 from tumble.result.parts import Parameter
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import Scenario, scenario_of
@@ -112,7 +112,7 @@ def _mean(device: Launched) -> list[Parameter]:
         common = float(np.mean([change[i] for _, change in runs]))
         own = [(max((run[i].u or 0.0) ** 2 - common**2, 0.0), run[i].dof) for run, _ in runs]
         values = np.array([run[i].value for run, _ in runs])
-        u, dof = degrees_of_mean(own, float(values.std(ddof=1)), common)
+        u, dof = u_and_degrees_of_mean(own, float(values.std(ddof=1)), common)
         out.append(replace(first, value=float(values.mean()), u=u, dof=dof))
     return out
 

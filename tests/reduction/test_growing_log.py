@@ -140,12 +140,12 @@ def test_rests_show_while_they_last(session: Recording) -> None:
             so_far = rests_so_far(reduction, ACCEL, GYRO)
             assert so_far is not None or time < 3.0
             if so_far is not None:
-                assert (so_far.still, so_far.lasting, len(so_far.rests)) == (True, True, k + 1)
+                assert (so_far.still_at_end, so_far.lasting, len(so_far.rests)) == (True, True, k + 1)
                 np.testing.assert_allclose([span.start for span in so_far.rests], starts(found, k), atol=0.6)
         if k < 8:
             moving = rests_so_far(fed(chunks(session, [], stop=round((rest.stop + 1.0) * RATE))).now(), ACCEL, GYRO)
             assert moving is not None
-            assert (moving.still, moving.lasting, len(moving.rests)) == (False, False, k + 1)
+            assert (moving.still_at_end, moving.lasting, len(moving.rests)) == (False, False, k + 1)
     u = mean_so_far(reduction.files[-1], found[-1].first, found[-1].last)
     assert u.keys() == {"accel", "gyro"}
     assert u["accel"][1] == pytest.approx(u["accel"][0] / 2**0.5, rel=0.2)  # white noise

@@ -21,10 +21,10 @@ from tumble.lab.report import limits_section
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import (
     degrees_of_freedom,
-    degrees_of_mean,
     degrees_through,
     expanded,
     expanded_of,
+    u_and_degrees_of_mean,
     welch_satterthwaite,
     with_degrees,
 )
@@ -179,13 +179,13 @@ def test_the_error_of_a_table_is_within_u_as_often_as_stated(tmp_path: Path) -> 
 def test_the_mean_of_launches_is_known_from_what_its_u_is_made_of(spread: float, u: float, degrees: float) -> None:
     """Three launches: from the instability between them with two degrees of freedom, or, where that is small, from the
     launches' own five each."""
-    found = degrees_of_mean([(1.0, 5.0)] * 3, spread, 0.0)
+    found = u_and_degrees_of_mean([(1.0, 5.0)] * 3, spread, 0.0)
     assert found[0] * np.sqrt(3.0) == pytest.approx(u)
     assert found[1] == pytest.approx(degrees)
 
 
 def test_what_launches_have_in_common_does_not_average_out() -> None:
-    u, degrees = degrees_of_mean([(1.0, None)] * 4, 2.0, 3.0)
+    u, degrees = u_and_degrees_of_mean([(1.0, None)] * 4, 2.0, 3.0)
     assert u == pytest.approx(np.sqrt(4.0 / 4.0 + 9.0))
     assert degrees == pytest.approx(10.0**2 / (1.0 / 3.0))
 
@@ -193,7 +193,7 @@ def test_what_launches_have_in_common_does_not_average_out() -> None:
 def test_u_of_a_mean_is_as_wide_as_either_that_it_is_made_of() -> None:
     """Two launches: never less than t₁ s, nor than what they know of themselves, however much they agree."""
     for spread in (0.01, 0.2, 0.7, 0.99, 1.5, 20.0):
-        u, dof = degrees_of_mean([(1.0, None)] * 2, spread, 0.0)
+        u, dof = u_and_degrees_of_mean([(1.0, None)] * 2, spread, 0.0)
         U = coverage_factor(np.inf if dof is None else dof) * u
         assert U * np.sqrt(2.0) == pytest.approx(max(coverage_factor(1.0) * spread, 2.0), rel=1e-4)
 
@@ -208,7 +208,7 @@ def test_u_of_a_mean_covers_as_stated(launches: int, run_to_run: float) -> None:
     for _ in range(4000):
         common = 0.5 * rng.standard_normal()
         values = np.hypot(1.0, run_to_run) * rng.standard_normal(launches) + common
-        u, dof = degrees_of_mean([(1.0, None)] * launches, float(values.std(ddof=1)), 0.5)
+        u, dof = u_and_degrees_of_mean([(1.0, None)] * launches, float(values.std(ddof=1)), 0.5)
         inside.append(abs(values.mean()) <= coverage_factor(np.inf if dof is None else dof) * u)
     assert np.mean(inside) > 0.9545 - 0.02
     assert run_to_run != 30.0 or np.mean(inside) == pytest.approx(0.9545, abs=0.02)
@@ -224,7 +224,7 @@ def test_a_common_error_does_not_make_u_of_a_mean_too_small(launches: int) -> No
     for _ in range(10_000):
         values = rng.standard_normal(launches) + common * rng.standard_normal()
         spread = float(values.std(ddof=1))
-        u, dof = degrees_of_mean([(1e-8, None)] * launches, spread, common)
+        u, dof = u_and_degrees_of_mean([(1e-8, None)] * launches, spread, common)
         U = coverage_factor(np.inf if dof is None else dof) * u
         assert (1.0 - 1e-9) * coverage_factor(launches - 1.0) * spread / np.sqrt(launches) <= U
         inside.append(abs(values.mean()) <= U)

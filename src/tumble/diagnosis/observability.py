@@ -44,7 +44,7 @@ class Refusal:
     null: Array
 
 
-def undetermined(readings: Array, *, block: Block) -> Refusal | None:
+def undetermined_by_positions(readings: Array, *, block: Block) -> Refusal | None:
     """Return why readings (N, 3) cannot determine the parameters, whatever their noise; None if they can.
 
     There may be too few positions, too few distinct ones, or all in one plane. The directions are approximated by a

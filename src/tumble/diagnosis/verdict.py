@@ -279,9 +279,8 @@ def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ..
 
 def no_rests(segmentation: Segmentation) -> Outcome:
     """Return the outcome of a log without rests."""
-    reason = (
-        f"no rest found: expected the device to lie still for at least {segmentation.tuning.still} s in each position"
-    )
+    seconds = segmentation.tuning.rest_seconds
+    reason = f"no rest found: expected the device to lie still for at least {seconds} s in each position"
     reason += "".join(f"; {sentence}" for sentence in segmentation.passed_over())
     if segmentation.rejected:
         longest = max(segmentation.rejected, key=lambda r: r.stop - r.start)

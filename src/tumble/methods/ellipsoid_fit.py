@@ -27,7 +27,7 @@ import numpy as np
 import scipy
 
 from tumble.brief import Brief
-from tumble.diagnosis.observability import Refusal, undetermined
+from tumble.diagnosis.observability import Refusal, undetermined_by_positions
 from tumble.errors import InputError
 from tumble.inference.estimate import Fit
 from tumble.methods.least_squares import (
@@ -148,7 +148,7 @@ def fit_ellipsoid(
         )
     if not 0.0 < modulus < np.inf or not 0.0 <= modulus_u < np.inf:
         raise InputError(f"modulus: expected a length above 0 and its u, found {modulus:g} and {modulus_u:g}")
-    refusal = undetermined(readings, block=block)
+    refusal = undetermined_by_positions(readings, block=block)
     if refusal is not None:
         return refusal
     noise = np.zeros((3, 3)) if covariance is None else covariance

@@ -253,7 +253,7 @@ def least_rest(setup: Setup) -> float:
         abs(m.angle) for m in programme.moves if m.angle and m.axis is not None and abs(m.axis @ UP) > 0.5
     )
     T = max(about_vertical, default=0.0) / setup.turn_rate
-    return max(USUAL.still, math.ceil((w + q * M / N) / (1.0 - q)), math.ceil(w + 2.0 * (T - w) / N))
+    return max(USUAL.rest_seconds, math.ceil((w + q * M / N) / (1.0 - q)), math.ceil(w + 2.0 * (T - w) / N))
 
 
 def _unfit(setup: Setup) -> tuple[str, ...]:

@@ -112,7 +112,7 @@ def degrees_through(jacobian: Array, u: Array, degrees: Iterable[float | None]) 
     return [None if root**2 * MANY_DEGREES < 1.0 else 1.0 / root**2 for root in (weight @ inverse).tolist()]
 
 
-def degrees_of_mean(
+def u_and_degrees_of_mean(
     launches: Iterable[tuple[float, float | None]], run_to_run: float, common: float
 ) -> tuple[float, float | None]:
     """Return u and degrees of freedom of the mean of launches (module docstring).

@@ -25,7 +25,7 @@ from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.diagnosis.level_faces import UPRIGHT, with_common_tilt
 from tumble.diagnosis.linear_model import omitted_by_rests, omitted_sizes
-from tumble.diagnosis.observability import Refusal, rough_directions, undetermined
+from tumble.diagnosis.observability import Refusal, rough_directions, undetermined_by_positions
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.files import FilePath
@@ -180,7 +180,7 @@ def calibrate_readings(
         fit, estimate, notes = _estimated(fitted, noise, table, nominal, grade, terms)
         outcome = Outcome(reasons=tuple(_reasons(table, nominal, fit)), remarks=tuple(_remarks(table, nominal, fit)))
     else:
-        refusal = undetermined(nominal.to_si(rows.values), block=TRIAD) or fitted  # of the rows as written
+        refusal = undetermined_by_positions(nominal.to_si(rows.values), block=TRIAD) or fitted  # of the rows as written
         by_faces = _by_faces(table, nominal, noise, grade, terms) if len(refusal.null) else None
         misstated = None if len(refusal.null) else _misstated(nominal, fitted_outputs(table.values, nominal.gravity))
         outcome = Outcome(reasons=(misstated or refusal.reason,), unobservable=TRIAD.names)

@@ -91,7 +91,7 @@ def gyro_rests(session: Session, progress: Progress = Log.chunks) -> GyroRests:
     # if nothing rests, the limit follows from movement, which no vertical reveals
     moved = session.log.accel.scale_stated and (segmentation.rate_limit or 0.0) > segmentation.tuning.level_drift
     if not segmentation.rests or moved:
-        still = segmentation.tuning.still
+        still = segmentation.tuning.rest_seconds
         raise InputError(f"{log.name}: expected gyros that lie still for {still} s or longer, found none that do")
     series = [files[rest.file].gyro.means[rest.first : rest.last] for rest in segmentation.rests]
     noise = fit_coloured_noise(series)

@@ -33,9 +33,9 @@ from tumble.recording.session_file import session_from
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import (
     MANY_DEGREES,
-    degrees_of_mean,
     gravity_sensitivity,
     shared_gravity,
+    u_and_degrees_of_mean,
     welch_satterthwaite,
 )
 from tumble.result.launch_variances import at_temperature
@@ -274,7 +274,7 @@ def _mean_parameters(
             dof = None if p.dof is None or C[i, i] == 0.0 else p.dof * float(variance[i] / C[i, i]) ** 2
             parts.append((float(variance[i]), dof))
         run_to_run = float(np.std(values[:, i], ddof=1))
-        u, dof = degrees_of_mean(parts, run_to_run, float(np.sqrt(shared_mean[i, i])))
+        u, dof = u_and_degrees_of_mean(parts, run_to_run, float(np.sqrt(shared_mean[i, i])))
         covariance[i, i] = u**2
         prior = max((p.prior for p in estimates if p.prior is not None), default=None)
         parameters.append(

@@ -179,7 +179,7 @@ class Progress:
     def still(self) -> bool:
         """Whether nothing moves, or a file has begun too recently to decide."""
         is_new_file = len(self.blocks) - self.blocks.files[-1].first < DETECTION_BLOCKS
-        return is_new_file or (self.so_far is not None and self.so_far.still)
+        return is_new_file or (self.so_far is not None and self.so_far.still_at_end)
 
     @property
     def current(self) -> Rest | None:

@@ -205,14 +205,14 @@ def columns_by_name(names: Iterable[str], *, suffixed: bool = False) -> Columns:
 
     With `suffixed` a single letter for a kind may come first, as in the ax_front of one of several groups."""
     names = list(names)
-    thermometers = {name: kind for name in names if (kind := thermometer(_split(name)[0])) is not None}
+    thermometers = {name: kind for name in names if (kind := thermometer(_words_and_unit(name)[0])) is not None}
     stems = _stems((name for name in names if name not in thermometers), suffixed=suffixed)
 
     def rank(item: tuple[tuple[str, str], Mapping[str, str]]) -> tuple[float, bool]:
         """Rank by score, and axes that are letters before numbers, as in acc_x_0 … acc_z_2 of three devices."""
         (kind, stem), by_axis = item
         are_numbers = len({re.sub(r"\d", "", name) for name in by_axis.values()}) == 1
-        return -score(kind, stem, _split(next(iter(by_axis.values())))[1]), are_numbers
+        return -score(kind, stem, _words_and_unit(next(iter(by_axis.values())))[1]), are_numbers
 
     triads: dict[str, Sensors] = {}
     others: list[str] = []
@@ -229,7 +229,7 @@ def columns_by_name(names: Iterable[str], *, suffixed: bool = False) -> Columns:
         triads[ACCEL] = Sensors(columns=triads.pop(GYRO).columns, unit="g")
     direction_first = {}  # roll_rate of `RateRoll`
     for name in names:
-        words = re.sub(r"(roll|pitch|yaw)(?=rate|speed|vel)", r"\1_", "_".join(_split(name)[0])).split("_")
+        words = re.sub(r"(roll|pitch|yaw)(?=rate|speed|vel)", r"\1_", "_".join(_words_and_unit(name)[0])).split("_")
         direction_first[name] = "_".join(sorted(words, key=lambda word: not _DIRECTION.fullmatch(word)))
     for kind in (ACCEL, GYRO):
         directed = [next((n for n in names if score(kind, direction_first[n], axis=axis)), None) for axis in "xyz"]
@@ -257,7 +257,7 @@ def _stems(names: Iterable[str], *, suffixed: bool) -> dict[tuple[str, str], dic
     """Return the columns of three axes by kind and stem, then by axis."""
     stems: dict[tuple[str, str], dict[str, str]] = {}
     for name in names:
-        words, unit = _split(name)
+        words, unit = _words_and_unit(name)
         for axis, stem in _axes(words) or _axis_alone(words):
             kind = sensor_kind(stem, unit)
             if kind is None and suffixed and stem[1:2] == "_":
@@ -296,7 +296,7 @@ def groups_by_name(names: Sequence[str]) -> dict[str, list[str]]:
 def _numbered_words(name: str) -> list[str]:
     """Return the words of a name, with numbers behind the word for a kind of sensor by themselves."""
     words = list[str]()
-    for word in _split(name)[0]:
+    for word in _words_and_unit(name)[0]:
         part = re.fullmatch(r"([a-z]+)(\d+)", word)
         is_kind = part is not None and (thermometer([part[1]]) is not None or sensor_kind(part[1], "") is not None)
         words += part.groups() if part is not None and is_kind else (word,)
@@ -309,13 +309,13 @@ def _triad(kind: str, columns: Sequence[str]) -> Sensors:
 
 
 def _score(kind: str, name: str) -> float:
-    words, unit = _split(name)
+    words, unit = _words_and_unit(name)
     return score(kind, "_".join(words), unit)
 
 
 def time_unit(name: str) -> str | None:
     """Return the unit in the name of a time column: ms of `t [ms]`, us of `micros`; None if there is none."""
-    words, unit = _split(name)
+    words, unit = _words_and_unit(name)
     return UNITS[TIME_KIND].get(unit) or (TIME_WORDS.get(words[-1]) if words else None)
 
 
@@ -325,7 +325,7 @@ def unit_of_name(kind: str, name: str) -> str | None:
     >>> unit_of_name("accel", "ax [mg]"), unit_of_name("gyro", "gyro_x")
     ('mg', None)
     """
-    return UNITS[kind].get(_split(name)[1])
+    return UNITS[kind].get(_words_and_unit(name)[1])
 
 
 def temperature_unit(name: str) -> str | None:
@@ -334,7 +334,7 @@ def temperature_unit(name: str) -> str | None:
     >>> temperature_unit("Temp [K]"), temperature_unit("imu_temp_f"), temperature_unit("T")
     ('K', 'degF', None)
     """
-    words, unit = _split(name)
+    words, unit = _words_and_unit(name)
     return TEMPERATURE_WORDS.get(unit or words[-1])
 
 
@@ -362,7 +362,7 @@ def in_axis_order(names: Sequence[str]) -> tuple[str, str, str]:
     >>> in_axis_order(["rate z", "rate x", "rate y"]), in_axis_order(["z", "y", "x"]), in_axis_order(["4", "5", "6"])
     (('rate x', 'rate y', 'rate z'), ('x', 'y', 'z'), ('4', '5', '6'))
     """
-    readings = [next(iter(_axes(words) or _axis_alone(words)), ("", "")) for words, _ in map(_split, names)]
+    readings = [next(iter(_axes(words) or _axis_alone(words)), ("", "")) for words, _ in map(_words_and_unit, names)]
     by_axis = dict(zip((axis for axis, _ in readings), names, strict=True))
     if set(by_axis) == set("xyz") and len({stem for _, stem in readings}) == 1:
         names = [by_axis[axis] for axis in "xyz"]
@@ -389,7 +389,7 @@ def _axis_alone(words: list[str]) -> list[tuple[str, str]]:
 
 
 @lru_cache(maxsize=4096)
-def _split(name: str) -> tuple[list[str], str]:
+def _words_and_unit(name: str) -> tuple[list[str], str]:
     """Split a name into words in small letters and a unit, "" for none.
 
     `AccX (m/s²)` gives acc, x and m/s²; `gyr_x_dps` gyr, x and dps; `TimeUS` time and us; `gyro[0]` gyro and 0."""

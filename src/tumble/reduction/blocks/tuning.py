@@ -118,7 +118,7 @@ class Tuning:
     # fmt: on
 
     @property
-    def still(self) -> int:
+    def rest_seconds(self) -> int:
         """Duration to lie still, whole s, that leaves a rest between its margins."""
         return math.ceil(self.rest + 2.0 * self.margin_least)
 

@@ -53,7 +53,7 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     verticals = bias_free_verticals(readings, expected, session.site.gravity)
     off = np.arccos(np.clip(expected @ verticals.T, -1.0, 1.0))
     why_missing = (
-        f"was it skipped or shorter than {segmentation.tuning.still} s? "
+        f"was it skipped or shorter than {segmentation.tuning.rest_seconds} s? "
         + "".join(f"{sentence}; " for sentence in segmentation.passed_over())
         + "`tumble inspect` shows what was found and rejected"
     )

@@ -100,7 +100,8 @@ class Stretch:
     @staticmethod
     def too_short(f: FileBlocks, span: Span, tuning: Tuning) -> Stretch:
         """Return a motionless span of blocks that is too short for a rest."""
-        reason = f"{f.edges[span[1]] - f.edges[span[0]]:.1f} s is too short: rests of {tuning.still} s are long enough"
+        length = f.edges[span[1]] - f.edges[span[0]]
+        reason = f"{length:.1f} s is too short: rests of {tuning.rest_seconds} s are long enough"
         return Stretch.of_blocks(f, span, "duration", reason)
 
 
@@ -135,9 +136,9 @@ class Segmentation:
     `rests`, `rejected`: the rests, and the quiet stretches that are no rests, in order of time. `rate_limit`,
     `scatter_limit`: limits of motion, for the distance of the rate from its level at rest, rad/s (None without gyros),
     and for the scatter of the specific force, m/s². `jump`: jump of the gyro level at rest. `stated_rate`: sample rate,
-    Hz, of a log without time stamps, on which durations depend. `tuning`: thresholds of the search. `still`: whether
-    the device is motionless at the end of the log. `programme`, `position`: the programme to which the rests were
-    matched, and the position index (N,) of each rest in it."""
+    Hz, of a log without time stamps, on which durations depend. `tuning`: thresholds of the search. `still_at_end`:
+    whether the device is motionless at the end of the log. `programme`, `position`: the programme to which the rests
+    were matched, and the position index (N,) of each rest in it."""
 
     json_fields: ClassVar = ("scatter_limit", "rate_limit", "rejected")
 
@@ -148,7 +149,7 @@ class Segmentation:
     jump: LevelJump | None = None
     stated_rate: float | None = None
     tuning: Tuning = USUAL
-    still: bool = False
+    still_at_end: bool = False
     programme: Programme | None = None
     position: IntArray | None = None
 
@@ -193,7 +194,7 @@ class Segmentation:
         """Return sentences that count the stretches that were nearly rests, by the criterion that they fail."""
         by = "" if self.stated_rate is None else f", by log.rate_hz = {self.stated_rate:g}, which no time confirms"
         reasons = {
-            f"too short: rests of {self.tuning.still} s are long enough{by}": self._failing("duration"),
+            f"too short: rests of {self.tuning.rest_seconds} s are long enough{by}": self._failing("duration"),
             "discarded because the gyros read otherwise than at rest": self._failing("level"),
             "shaken: the gyros are at rest, the accelerometers are not; put it where nothing vibrates": self.shaken,
         }
@@ -212,7 +213,7 @@ class Segmentation:
             "level": "the accelerometers are quiet, but the gyros read otherwise than at rest",
             "scatter": "the gyros are quiet, but the accelerometers are not",
             "vertical": f"the vertical moves by more than {self.tuning.tilt / DEGREE:g}°",
-            "duration": f"too short: rests of {self.tuning.still} s are long enough",
+            "duration": f"too short: rests of {self.tuning.rest_seconds} s are long enough",
         }
         sentences = []
         for fails, why in reasons.items():
@@ -443,7 +444,7 @@ class _RestSearch:
                     rests.append(replace(rest, reaches_end=f is self.files[-1] and rest.last >= len(f) - 1))
         return Segmentation(
             rests=tuple(rests),
-            still=bool(rests) and rests[-1].reaches_end,
+            still_at_end=bool(rests) and rests[-1].reaches_end,
             rejected=tuple(sorted(rejected, key=lambda r: (r.file, r.start))),
             rate_limit=rate_limit,
             scatter_limit=scatter_limit,
