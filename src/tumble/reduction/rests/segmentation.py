@@ -476,7 +476,8 @@ class _RestSearch:
             apart = changes(reading - step * (np.arange(len(reading))[:, None] >= at))
             sigma = max(usual[c], float(np.median(np.abs(apart)))) / NORMAL_MEDIAN
             if abs(step) - resolution[c] > self.tuning.step_beyond * sigma:
-                near = reading[at : at + side // 3].mean() - reading[at - side // 3 : at].mean()
+                third = max(side // 3, 1)
+                near = reading[at : at + third].mean() - reading[at - third : at].mean()
                 whole = reading[at:].mean() - reading[:at].mean()
                 if near / step > 0.5 and 0.5 < whole / step < 2.0:
                     divided[k][first, last] = rows.start + at
