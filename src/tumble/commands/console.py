@@ -66,7 +66,7 @@ def warn(line: str) -> None:
     click.echo(plain(line), err=True)
 
 
-LONGEST_REASON = 300  # characters of a shortened reason, three lines of a terminal, unless two clauses are longer
+LONGEST_REASON = 300  # characters of a shortened reason before its last clause, three lines of a terminal
 
 
 def end(reasons: Iterable[str], kind: str = "", most: int | None = None) -> NoReturn:
@@ -82,13 +82,13 @@ def end(reasons: Iterable[str], kind: str = "", most: int | None = None) -> NoRe
 
 
 def _shortened(reason: str) -> str:
-    """Return the first clause of a sentence, as many others as fit into LONGEST_REASON characters, and the last.
+    """Return the first clauses of a sentence that fit into LONGEST_REASON characters, at least one, and the last.
 
-    The clauses are those between semicolons. The first is what was found, the last its cause or what to do."""
+    The clauses are those between semicolons. The last is the cause of what was found, or what to do."""
     *first, last = reason.split("; ")
     kept = ""
     for clause in first:
-        if kept and len(kept) + len(clause) + len(last) > LONGEST_REASON:
+        if kept and len(kept) + len(clause) > LONGEST_REASON:
             return f"{kept}…; {last} (more: --all)"
         kept += f"{clause}; "
     return kept + last

@@ -4,7 +4,7 @@ about hypotheses that are nearly as likely."""
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -28,10 +28,13 @@ _MOST_RIVALS = 3  # listed in a doubt, the likeliest
 _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
 
-def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> tuple[Draft, list[str]]:
+def complete_draft(
+    draft: Draft, progress: Progress, widths: Widths = WIDTHS, stated: Container[str] = ()
+) -> tuple[Draft, list[str]]:
     """Add units, scales and times to a draft whose sensors are raw numbers, and list the faults of its recording.
 
-    `widths` are the standard deviations of the cost of hypotheses."""
+    `widths` are the standard deviations of the cost of hypotheses, `stated` the kinds of sensors whose columns the user
+    stated."""
     evidence = gather_evidence(draft, progress, widths)
     best, *others = ranked_hypotheses(evidence, draft, widths)
     rivals = [hypothesis for hypothesis in others if hypothesis.cost < best.cost + widths.near]
@@ -47,7 +50,8 @@ def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS) ->
             log |= {"clock_ppm_u": round(1e6 * min(rate_u, 1.0))} if rate_u > USUAL_RATE_U else {}
         log[GYRO], gyro_remarks = _gyro_table(draft, best, best.gyro, evidence, rivals)
         remarks += gyro_remarks
-    of_gravity, of_units = _doubts_of_gravity(draft, best, evidence), list(_doubts_of_units(draft, log, best, rivals))
+    of_gravity = _doubts_of_gravity(draft, best, evidence, stated)
+    of_units = list(_doubts_of_units(draft, log, best, rivals))
     of_log = (*of_gravity, *(doubt for kind, doubt in of_units if not kind), *draft.doubts)
     log |= {"doubt": "; ".join(of_log)} if of_log else {}
     for kind, doubt in of_units:
@@ -75,10 +79,11 @@ def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS) ->
     return out, faults
 
 
-def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> Iterator[str]:
+def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence, stated: Container[str]) -> Iterator[str]:
     """Yield doubts about accelerometers that do not read gravity in a unit.
 
-    Raises InputError if such accelerometers are named as linear acceleration, or if the gyros read gravity."""
+    Raises InputError if such accelerometers are named as linear acceleration, or if the gyros read gravity and the
+    columns are not `stated` by the user."""
     if ACCEL not in draft.triads:
         return
     unit, columns = draft.unit(ACCEL), draft.triads[ACCEL].columns
@@ -92,7 +97,8 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> It
     ):
         if WITHOUT_GRAVITY.search(columns[0]):
             raise linear_acceleration(draft.files[0], columns)
-        if GYRO in draft.triads and evidence.rests >= _FEWEST_FOR_GRAVITY and like_gravity(evidence.gyro):
+        by_names = GYRO in draft.triads and ACCEL not in stated and GYRO not in stated
+        if by_names and evidence.rests >= _FEWEST_FOR_GRAVITY and like_gravity(evidence.gyro):
             gyros = draft.triads[GYRO].columns
             raise InputError(
                 f"{draft.files[0]}: expected gravity in the columns of the accelerometers, found it in those of the "

@@ -227,7 +227,7 @@ def drafted_log(
     device = {"serial": serial, **({"imu": sensors_content(imu)} if imu else {})}
     draft = replace(draft, content={**draft.content, "device": device, "site": site})
     draft.session()  # checks the content
-    draft, faults = complete_draft(draft, progress, widths)
+    draft, faults = complete_draft(draft, progress, widths, given.columns)
     return _with_apple_sign(draft), faults
 
 
