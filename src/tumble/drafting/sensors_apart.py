@@ -175,11 +175,12 @@ def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:
     if any({ACCEL, GYRO} <= set(log.columns.triads) for log in logs):
         return False
 
-    for log in logs:  # columns for both kinds, and none named x, y and z alone
+    def has_room(log: ForeignLog) -> bool:
+        """Return whether there are columns for both kinds, and none named x, y and z alone."""
         axes_alone = set("xyz") <= {(name.split() or [""])[0].lower() for name in log.cells}
-        if axes_alone or sum(not is_no_sensor(name) for name in log.cells) < 6:
-            break
-    else:
+        return not axes_alone and sum(not is_no_sensor(name) for name in log.cells) >= 6
+
+    if all(map(has_room, logs)):
         return False
     by_kind = _first_by_kind(logs)
     if set(by_kind) == {ACCEL, GYRO}:

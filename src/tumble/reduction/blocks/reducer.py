@@ -25,7 +25,7 @@ from tumble.sensors.model import Block, left_null_space
 from tumble.units import Array, BoolArray, IntArray
 
 BLOCK_SECONDS = 0.1
-FEWEST_HELD = 6  # repeated rows in a run that cost a turn; fewer lost samples are bridged
+SHORTEST_HELD_RUN = 6  # repeated rows in a run that cost a turn; fewer lost samples are bridged
 MOST_HELD = 0.05  # fraction of the rows of a log up to which those that repeat can be held
 MOST_RUNS = 1000  # of repeated rows that are kept; more show how a log is sampled
 HELD_BY_CHANCE = 1e-3  # greatest expected number of such runs in a log if its channels repeat independently
@@ -127,9 +127,9 @@ class Reduction:
 
     `samples`: the samples for the turns, None without gyros. `lost`: lost samples by long intervals, without those that
     were bridged on reading. `repeated_rows`: rows in which all accelerometers and gyros repeat the row before, `runs`:
-    their runs of FEWEST_HELD rows and more, as gaps. `gaps`: gaps of the log. `blemishes`: blocks with bad samples,
-    which have no weight. `tuning`: thresholds of the search for rests and bad samples. `clock_rate`: true seconds per
-    second of the log's clock. Times are by this clock, intervals of samples in true seconds."""
+    their runs of SHORTEST_HELD_RUN rows and more, as gaps. `gaps`: gaps of the log. `blemishes`: blocks with bad
+    samples, which have no weight. `tuning`: thresholds of the search for rests and bad samples. `clock_rate`: true
+    seconds per second of the log's clock. Times are by this clock, intervals of samples in true seconds."""
 
     rate: float
     files: tuple[FileBlocks, ...]
@@ -347,23 +347,18 @@ class Reducer:
 
     def _add_runs(self, chunk: Chunk, repeats: BoolArray) -> None:
         """Add the runs of rows (m,) of a chunk that repeat the row before; one at its end may go on in the next."""
-        length, since = self._run
-        starts, stops = np.flatnonzero(np.diff(repeats, prepend=False, append=False)).reshape(-1, 2).T
-        if length and not repeats[0]:
-            starts, stops = np.append(0, starts), np.append(0, stops)
-        more = np.zeros(len(starts), dtype=int)
-        more[: length > 0] = length
-        goes_on = stops == len(repeats)
+        begun, since = self._run  # the rows of a run that began in an earlier chunk have negative numbers here
+        edges = np.flatnonzero(np.diff(repeats, prepend=begun > 0, append=False))
+        runs = np.concatenate([[-begun] * (begun > 0), edges]).astype(int).reshape(-1, 2)
         self._run = 0, 0.0
-        for i in np.flatnonzero((stops - starts + more >= FEWEST_HELD) | goes_on).tolist():
-            start = since if more[i] else float(chunk.time[starts[i]])
-            length = int(stops[i] - starts[i] + more[i])
-            if goes_on[i]:
-                self._run = length, start
+        for start, stop in runs[(runs[:, 1] - runs[:, 0] >= SHORTEST_HELD_RUN) | (runs[:, 1] == len(repeats))].tolist():
+            length, time = stop - start, since if start < 0 else float(chunk.time[start])
+            if stop == len(repeats):
+                self._run = length, time
             elif len(self._runs) < MOST_RUNS:
                 why = f"{length} of its samples repeat the one before, as held in place of lost ones"
-                gap = Gap(file=chunk.file, row=0, time=start, samples=length, what="held samples", why=why)
-                self._runs.append(replace(gap, stop=float(chunk.time[stops[i]]), integrable=False))
+                gap = Gap(file=chunk.file, row=0, time=time, samples=length, what="held samples", why=why)
+                self._runs.append(replace(gap, stop=float(chunk.time[stop]), integrable=False))
 
     def _covered(self, first: int, edges: Array) -> Array:
         """Return the time (k,), s, covered by samples in the blocks from `first` on with these edges (k + 1,)."""

@@ -38,6 +38,7 @@ which reveals a turn about a nearly vertical axis by its small tilt.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -455,11 +456,15 @@ class _RestSearch:
         """Divide spans in which a reading steps to another level, as by a knock or a jump of a bias (step 7)."""
         values = self.forces if rates is None else [np.hstack(pair) for pair in zip(self.forces, rates, strict=True)]
         resolution = np.repeat([self.force_step, self.rate_step], 3)[: values[0].shape[1]]
-        blurred, divided = self.window // 2, [dict.fromkeys(of_file) for of_file in spans]
-        inner = [(k, span, slice(span[0] + blurred, span[1] - blurred)) for k, s in enumerate(spans) for span in s]
-        side = max(self.window, int(np.median([r.stop - r.start for *_, r in inner] or [0])) // 8)
-        inner = [each for each in inner if each[2].stop - each[2].start >= 6 * side]
-        if sum(r.stop - r.start for *_, r in inner) < FEWEST_CHANGES * side:
+        blurred = self.window // 2  # blocks at either end of a span that may belong to a turn
+        inner = {
+            (file, first, last): values[file][first + blurred : last - blurred]
+            for file, of_file in enumerate(spans)
+            for first, last in of_file
+        }
+        side = max(self.window, int(np.median([len(readings) for readings in inner.values()] or [0])) // 8)
+        inner = {span: readings for span, readings in inner.items() if len(readings) >= 6 * side}
+        if sum(map(len, inner.values())) < FEWEST_CHANGES * side:
             return spans
 
         def changes(readings: Array) -> Array:
@@ -467,24 +472,31 @@ class _RestSearch:
             total = np.cumsum(np.vstack([readings[:1], readings]) - readings[0], axis=0)
             return np.asarray(total[2 * side :] - 2.0 * total[side:-side] + total[: -2 * side]) / side
 
-        all_changes = [changes(values[k][rows]) for k, _, rows in inner]
-        usual = np.median(np.abs(np.concatenate(all_changes)), axis=0)
-        for (k, (first, last), rows), change in zip(inner, all_changes, strict=True):
+        changes_of = {span: changes(readings) for span, readings in inner.items()}
+        usual = np.median(np.abs(np.concatenate([*changes_of.values()])), axis=0)
+
+        def step_in(readings: Array, change: Array) -> int | None:
+            """Return the block at which one of the readings (m, c) steps to another level, None if none does."""
             beyond = (np.abs(change) - resolution) / np.maximum(usual, 1e-300)
             row, c = np.unravel_index(np.argmax(beyond), beyond.shape)
-            step, at, reading = change[row, c], side + int(row), values[k][rows, [c]]
-            apart = changes(reading - step * (np.arange(len(reading))[:, None] >= at))
-            sigma = max(usual[c], float(np.median(np.abs(apart)))) / NORMAL_MEDIAN
-            if abs(step) - resolution[c] > self.tuning.step_beyond * sigma:
-                third = max(side // 3, 1)
-                near = reading[at : at + third].mean() - reading[at - third : at].mean()
-                whole = reading[at:].mean() - reading[:at].mean()
-                if near / step > 0.5 and 0.5 < whole / step < 2.0:
-                    divided[k][first, last] = rows.start + at
-        return [
-            [part for (i, j), at in of_file.items() for part in (((i, j),) if at is None else ((i, at), (at, j)))]
-            for of_file in divided
-        ]
+            step, at, reading = change[row, c], side + int(row), readings[:, [c]]
+            without_step = changes(reading - step * (np.arange(len(reading))[:, None] >= at))
+            sigma = max(usual[c], float(np.median(np.abs(without_step)))) / NORMAL_MEDIAN
+            if abs(step) - resolution[c] <= self.tuning.step_beyond * sigma:
+                return None
+            third = max(side // 3, 1)
+            near = reading[at : at + third].mean() - reading[at - third : at].mean()
+            whole = reading[at:].mean() - reading[:at].mean()
+            return at if near / step > 0.5 and 0.5 < whole / step < 2.0 else None
+
+        divided = [list[Span]() for _ in spans]
+        for file, of_file in enumerate(spans):
+            for first, last in of_file:
+                span = file, first, last
+                at = step_in(inner[span], changes_of[span]) if span in inner else None
+                ends = [first, last] if at is None else [first, first + blurred + at, last]
+                divided[file] += pairwise(ends)
+        return divided
 
     def _extended(self, signals: list[tuple[Array, float]], first: int, last: int) -> Span:
         """Move the ends of a span, blurred by half a window, to where single blocks are more than `edge` standard
