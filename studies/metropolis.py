@@ -58,7 +58,7 @@ def shown(fitted: Maximum) -> list[int]:
     out = list[int]()
     for i, h in enumerate(fitted.hyperparameters):
         phi = fitted.phi.copy()
-        phi[i] += fitted.curvature[i, i] ** -0.5
+        phi[i] += fitted.information[i, i] ** -0.5
         at_bound = h.bounded and fitted.phi[i] <= 0.0
         _, trace = quadratic_forms(fitted.hyperparameters, evaluated(fitted, phi))
         if not at_bound or 2.0 * trace[i] > INFORMATIVE_GROUP:
@@ -78,7 +78,7 @@ def sampled(fitted: Maximum, draws: int, seed: int) -> tuple[Array, Array, float
     every = shown(fitted)
     walking, sizes = ([i for i in every if entries[i].bounded is bounded] for bounded in (False, True))
     phi, D = fitted.phi.copy(), len(walking)
-    steps = np.linalg.inv(fitted.curvature[np.ix_(walking, walking)])
+    steps = np.linalg.inv(fitted.information[np.ix_(walking, walking)])
     value, path, accepted = evaluated(fitted, phi).log_posterior, list[Array](), 0
     means, within = list[Array](), np.zeros((1 + len(fitted.point.values),) * 2)
     for i in range(-burn, draws):

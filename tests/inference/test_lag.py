@@ -185,7 +185,7 @@ def test_a_lag_is_judged_with_the_sizes_that_are_likeliest_with_it() -> None:
     there = linearise(held, replace(fitted.point, values=values), fitted.linearisation.about)
     best = maximise(there, fitted.phi).solution.log_posterior
     plain = solution_at(there, fitted.hyperparameters, fitted.phi)
-    near, *_ = maximise_phi(fitted.hyperparameters, plain, fitted.curvature)
+    near, *_ = maximise_phi(fitted.hyperparameters, plain)
     assert plain.log_posterior < best - 5.0
     assert best - near.log_posterior < 0.1 * (best - plain.log_posterior)
 

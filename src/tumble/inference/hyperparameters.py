@@ -41,7 +41,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tumble.inference.elimination import eliminate, fold, recur_backwards
+from tumble.inference.elimination import recur_backwards
 from tumble.inference.elimination_kernels import scatter_forms, state_forms
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import (
@@ -60,9 +60,7 @@ from tumble.inference.normal_equations import (
     Solution,
     add_priors,
     eliminate_rests,
-    joint_rows,
-    session_links,
-    station_rows,
+    explained,
     times_root,
 )
 from tumble.inference.problem import Problem
@@ -161,6 +159,11 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
     def bounded(self) -> BoolArray:
         """Which elements (D,) are p of λ = exp(max(p, 0))."""
         return np.array([h.bounded for h in self], dtype=bool)
+
+    def variances(self, phi: Array) -> BoolArray:
+        """Return which elements (D,) are logarithms of standard deviations that matter at φ (D,)."""
+        times = np.array([isinstance(h, CorrelationTime) for h in self], dtype=bool)
+        return ~times & ~(self.bounded & (phi <= 0.0))
 
     @cached_property
     def centre(self) -> Array:
@@ -267,6 +270,24 @@ def score(hyperparameters: Hyperparameters, solution: Solution) -> Array:
     """Return the gradient (D,) of ℓ."""
     square, trace = quadratic_forms(hyperparameters, solution)
     return np.asarray(square - trace + solution.prior_terms[1])
+
+
+def derivatives(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array, Array]:
+    """Return the gradient (D,) of ℓ, its average information (D, D), and B (D, D), minus its second derivative.
+
+    For ln σ of a variance v = σ², with D = ∂V/∂v,
+
+        −∂²ℓ/∂(ln σ)² = 2a − e + 2v (tr PD − rᵀPDPr),   a = 2v² rᵀPDPDPr,   e = 2v² tr PDPD
+
+    a is the average information. e is taken as a tr PD/rᵀPDPr, which is exact where the variance is all there is. Where
+    the likelihood rises along ln σ, B is the average information, so that it stays positive definite.
+    """
+    forms, information = quadratic_forms(hyperparameters, solution), average_information(hyperparameters, solution)
+    square, trace = np.where(hyperparameters.variances(solution.phi), forms, 0.0)
+    likelihood = information.diagonal() - solution.prior_terms[2]
+    share = np.clip(likelihood / np.maximum(2.0 * square, 1e-300), 0.0, 1.0)
+    B = information + np.diag(2.0 * np.maximum(trace - square, 0.0) * (1.0 - share))
+    return forms[0] - forms[1] + solution.prior_terms[1], information, B
 
 
 def size_factors(
@@ -385,57 +406,63 @@ def solution_at(linearisation: Linearisation, hyperparameters: Hyperparameters, 
 def average_information(hyperparameters: Hyperparameters, solution: Solution) -> Array:
     """Return the average of observed and expected information (D, D) of ℓ, with the curvature of the prior.
 
-    It is ½ QᵀPQ with the working variates Q = [∂V/∂φ_a P r] (Gilmour, Thompson and Cullis 1995). Q are further
-    right-hand sides of the elimination, whose triangle then contains their residuals.
-    """
-    linearisation, equations, problem = solution.linearisation, solution.equations, solution.problem
-    noise, point, D = equations.noise, solution.linearisation.point, len(hyperparameters)
-    d, q, sides, states = equations.unknowns, solution.local.shape[-1], slice(-1 - D, -1), equations.noise.states
+    It is ½ QᵀPQ with the working variates Q = [∂V/∂φ_a P r] (Gilmour, Thompson and Cullis 1995). With whitened variates
+    Z, rows X, and the covariance C of all unknowns,
 
-    # working variates, whitened: 2 v W Z Zᵀ Wᵀ r of a component of variance; of priors, their residuals
+        QᵀPQ = ZᵀZ − (XᵀZ)ᵀ C (XᵀZ)
+    """
+    equations, problem, D = solution.equations, solution.problem, len(hyperparameters)
+    if D == 0:
+        return np.zeros((0, 0))
+    noise, point, q = equations.noise, solution.linearisation.point, solution.local.shape[-1]
+    M, d, width = equations.sensitivity.shape
+    at_stations, square = np.zeros((M, d, D)), np.zeros((D, D))  # of XᵀZ and of ZᵀZ
+    of_sessions = np.zeros((len(problem.parts), width - 1, D))
+
+    def add_square(Z: Array) -> None:
+        square[:] += Z.reshape(-1, D).T @ Z.reshape(-1, D)
+
+    # rests, turns and links: Z of a component of variance is 2 v W z zᵀ Wᵀ r
     of_scatter = hyperparameters.members((Scatter, len(SCATTER)))
     of_sensors = hyperparameters.members((SensorFactor, problem.sensors))
-    variates = list[Array]()
-    for number, (W, (r, _), (Z, place)) in enumerate(solution.by_kind):
-        WZ, members = W @ Z, of_scatter[:, place]
-        members[:, : problem.sensors] += of_sensors if number == 0 else 0.0
-        variates.append((2.0 * noise.variances[place] * (r[:, None] @ WZ) * WZ) @ members.T)
+    kinds = (
+        (equations.rest_rows, problem.station, [part.rests for part in problem.parts]),
+        (equations.turn_rows, problem.before_turn, [part.turns for part in problem.parts]),
+        (equations.link_rows, problem.before_link, [slice(None)] * problem.moves),
+    )
+    for (rows, before, parts), (W, (r, _), (directions, place)) in zip(kinds, solution.by_kind, strict=True):
+        members = of_scatter[:, place]
+        members[:, : problem.sensors] += of_sensors if before is problem.station else 0.0
+        along = W @ directions
+        Z = (2.0 * noise.variances[place] * (r[:, None] @ along) * along) @ members.T
+        add_square(Z)
+        products = np.swapaxes(rows[:, :, :-1], 1, 2) @ Z
+        for first in range(0, products.shape[1] + 1 - width, d):  # one station of a rest, two of others
+            at_stations[before + first // d] += products[:, first : first + d]
+        for s, part in enumerate(parts):
+            of_sessions[s] += products[part, 1 - width :].sum(axis=0)
+
+    # steps of states, and their initial values
+    if states := noise.states:
+        Z, of_initial = _variates_of_states(hyperparameters, solution)
+        add_square(Z)
+        add_square(of_initial)
+        by_step = np.divide(Z, noise.state_step[:, :, None], out=np.zeros_like(Z), where=noise.follows[:, None, None])
+        at_stations[:, d - states :] -= noise.state_rho[:, :, None] * by_step
+        at_stations[1:, d - states :] += by_step[:-1]
+        at_stations[[part.stations.start for part in problem.parts], d - states :] += of_initial
+
+    # priors
     off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
-    of_prior = -2.0 * (off / problem.prior_u[1:])[:, None] * hyperparameters.members((GroupSize, len(off))).T
-    off_local = (point.local + solution.local) / problem.local_u
-    of_local = -2.0 * off_local[..., None] * hyperparameters.members((LocalGroupSize, q)).T
-
-    def with_columns(rows: Array, columns: Array) -> Array:
-        return np.concatenate([rows[..., :-1], columns, rows[..., -1:]], axis=-1)
-
-    kinds = equations.rest_rows, equations.turn_rows, equations.link_rows
-    rest, turn, link = (with_columns(rows, columns) for rows, columns in zip(kinds, variates, strict=True))
-    rest, joints, of_initial = station_rows(problem, rest), turn, np.zeros((len(problem.parts), 0, D))
-    if states:
-        joints = joint_rows(linearisation, turn, link)
-        joints[:, -states:, sides], of_initial = _variates_of_states(hyperparameters, solution)
-    width, p = rest.shape[2] - d, len(problem.prior_u)
-    common = np.zeros((p + D + 1, p + D + 1), order="F")
-    rows = np.zeros((p, p + D + 1))
-    np.fill_diagonal(rows, np.divide(1.0, problem.prior_u, out=np.zeros(p), where=problem.prior_u > 0.0))
-    rows[:, -1] = rows.diagonal() * (problem.prior_mean - np.append(point.gravity, point.values))
-    rows[1:, p:-1] = of_prior
-    fold(rows, common)
-    fold(with_columns(linearisation.array, np.zeros((len(linearisation.array), D))), common)
-    for s, part in enumerate(problem.parts):
-        initial, triangle = np.zeros((d, d + rest.shape[2])), np.zeros((width, width), order="F")
-        initial[d - states :, d - states : d] = np.eye(states)
-        initial[d - states :, sides] = of_initial[s]
-        between, links = joints[part.stations if states else part.turns], session_links(part, states > 0)
-        eliminate(rest[part.stations], between, links, np.empty((len(part.link), *initial.shape)), triangle, initial)
-        if q:
-            local = np.zeros((q, width))
-            local[:, :q], local[:, sides] = np.diag(1.0 / problem.local_u), of_local[s]
-            local[:, -1] = linearisation.local_prior[s]
-            fold(local, triangle)
-        fold(triangle[q:, q:].copy(order="F"), common)
-    R = np.triu(common)[p : p + D, p : p + D]
-    return np.asarray(0.5 * R.T @ R + np.diag(solution.prior_terms[2]))
+    u, off_local, local_u = problem.prior_u[1:, None], point.local + solution.local, problem.local_u[:, None]
+    Z = -2.0 * (off[:, None] / u) * hyperparameters.members((GroupSize, len(off))).T
+    Z_local = -2.0 * (off_local[..., None] / local_u) * hyperparameters.members((LocalGroupSize, q)).T
+    add_square(Z)
+    add_square(Z_local)
+    of_sessions[:, :q] += Z_local / local_u
+    of_sessions[0, q + 1 :] += Z / u
+    square -= explained(solution, at_stations, of_sessions)
+    return np.asarray(0.5 * square + np.diag(solution.prior_terms[2]))
 
 
 def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array]:

@@ -279,7 +279,7 @@ class Proposal:
     @staticmethod
     def about(fitted: Maximum) -> Proposal:
         """Return the proposal from the gradient and the average information at a maximum."""
-        hyperparameters, solution, phi, B = fitted.hyperparameters, fitted.solution, fitted.phi, fitted.curvature
+        hyperparameters, solution, phi, B = fitted.hyperparameters, fitted.solution, fitted.phi, fitted.information
         forms, densities = quadratic_forms(hyperparameters, solution), dict[int, Density]()
         sizes = [i for i, h in enumerate(hyperparameters) if isinstance(h, GroupSize)]
         if sizes:
@@ -304,7 +304,7 @@ class Proposal:
         stretch[free] = np.sqrt(marginal)
         for i in (element for element in outer if element not in densities):
             h = hyperparameters[i]
-            density = partial(_variance_density, h, phi[i], tuple(forms[:, i]), fitted.curvature[i, i], stretch[i])
+            density = partial(_variance_density, h, phi[i], tuple(forms[:, i]), fitted.information[i, i], stretch[i])
             if i in times:
                 in_run[i] = times[i], density
             else:
@@ -578,7 +578,7 @@ def _size_densities(fitted: Maximum, sizes: list[int]) -> dict[int, Density]:
     learned = quadratic_forms(hyperparameters, fitted.solution)[1]
     for i in sizes:
         h, at_bound, group = hyperparameters[i], phi[i] <= 0.0, np.flatnonzero(element == i)
-        curvature = 2.0 * float(learned[i]) + h.within**-2 if at_bound else fitted.curvature[i, i]
+        curvature = 2.0 * float(learned[i]) + h.within**-2 if at_bound else fitted.information[i, i]
         size = max(curvature, h.within**-2) ** -0.5
         p = max(phi[i], 0.0) + KNOTS * size if at_bound else np.linspace(0.0, phi[i] + KNOTS[-1] * size, 2 * len(KNOTS))
         precision = np.asarray(np.linalg.inv(covariance[np.ix_(group, group)]))  # with the priors of other groups
@@ -830,7 +830,7 @@ def _summary(fitted: Maximum, phi: Array, weight: Array) -> Array:
     out, prior_curvature = np.empty((len(fitted.phi), 3)), fitted.hyperparameters.log_prior(fitted.phi)[2]
     for i, h in enumerate(fitted.hyperparameters):
         at, order = fitted.phi[i], np.argsort(phi[:, i])
-        limits = at + np.array([0.0, -1.0, 1.0]) / np.sqrt(max(fitted.curvature[i, i], prior_curvature[i]))
+        limits = at + np.array([0.0, -1.0, 1.0]) / np.sqrt(max(fitted.information[i, i], prior_curvature[i]))
         if np.ptp(phi[:, i]) > 0.0:
             share = np.cumsum(weight[order]) - 0.5 * weight[order]
             limits = np.interp([0.5, 0.16, 0.84], share, phi[order, i])

@@ -94,10 +94,9 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
         covariances and values of the parameters. φ starts from an interpolation between the lags computed before."""
         values, i = fitted.point.values, lags[kind]
         here = held(values, replace(fitted.linearisation, point=fitted.point))
-        phi_at, B = {float(values[i]): fitted.phi}, fitted.curvature
+        phi_at = {float(values[i]): fitted.phi}
 
         def at(grid: Array) -> tuple[Array, Array]:
-            nonlocal B
             deviance, out = penalty(kind, grid), np.empty((len(grid), len(values), len(values) + 1))
             for k in np.argsort(np.abs(grid - values[i])):
                 lag, at_lag = float(grid[k]), values.copy()
@@ -106,7 +105,7 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
                 known_lags, known_phi = zip(*sorted(phi_at.items()), strict=True)
                 phi = np.array([np.interp(lag, known_lags, element) for element in np.transpose(known_phi)])
                 solution = solution_at(there, fitted.hyperparameters, phi)
-                solution, B, *_ = maximise_phi(fitted.hyperparameters, solution, B)
+                solution, *_ = maximise_phi(fitted.hyperparameters, solution)
                 phi_at[lag] = solution.phi
                 deviance[k] -= 2.0 * solution.log_posterior
                 out[k, :, :-1] = solution.session_covariance[1:, 1:]

@@ -11,10 +11,9 @@ their means) and R stands for all triangles of the elimination; docs/explanation
 
     x   Gauss–Newton: x ← x + argmin of the residuals linearised at x. Turns are integrated again about the current
         parameters wherever the second-order effect of the change since the last integration matters.
-    φ   at fixed residuals a trust region: s = B⁻¹γ, |s|∞ ≤ Δ, with the analytic gradient γ. B is the average
-        information at first, and after a linearisation where φ has not settled; BFGS then updates it. Once these
-        steps have settled, B is the average information there, and if φ has not settled the iteration goes on. Sizes
-        λ = exp(max(p, 0)) keep p ≥ 0, because the data do not depend on p below.
+    φ   at fixed residuals Newton's method in a trust region: s = B⁻¹γ, |s|∞ ≤ Δ, with the gradient γ and B, minus the
+        second derivative of ℓ (`hyperparameters.derivatives`). Sizes λ = exp(max(p, 0)) keep p ≥ 0, because the data
+        do not depend on p below.
 
 The iteration ends when a step of x is negligible relative to u (CONVERGED) and ½ γᵀB⁻¹γ, the expected gain of ℓ, is
 below GAIN per element of φ (`Maximum.converged`), or when it runs out of steps, which is no result.
@@ -49,8 +48,8 @@ from tumble.inference.hyperparameters import (
     InRunSize,
     Scatter,
     average_information,
+    derivatives,
     hyperparameters_of,
-    score,
     solution_at,
 )
 from tumble.inference.integrated_turns import IntegratedTurns
@@ -98,8 +97,8 @@ class Maximum:
         Solution and ℓ at the maximum, with priors of the sizes there.
     point
         Point after the last step.
-    curvature : (D, D)
-        B, minus the second derivative of ℓ.
+    information : (D, D)
+        Average information of ℓ.
     increments
         Step of the parameters (m,) in each iteration.
     converged
@@ -110,7 +109,7 @@ class Maximum:
     hyperparameters: Hyperparameters
     solution: Solution
     point: Point
-    curvature: Array
+    information: Array
     increments: tuple[Array, ...]
     converged: bool
 
@@ -161,17 +160,16 @@ def maximise(
     hyperparameters = hyperparameters_of(problem, start.noise, _estimable(solve(start, NO_COMPONENTS)))
     if phi is None or len(phi) != len(hyperparameters):
         phi = hyperparameters.centre
-    increments, near, phi_settled, B, radius = list[Array](), False, False, None, FURTHEST
+    increments, near, phi_settled, radius = list[Array](), False, False, FURTHEST
     while True:
         solution = solution_at(linearisation, hyperparameters, phi)
         near = near or len(increments) >= FAR_STEPS or negligible(solution, NEAR)
         if near:
-            B = B if phi_settled else None  # after steps that ran out, B by BFGS is poor
-            solution, B, radius, phi_settled = maximise_phi(hyperparameters, solution, B, radius)
+            solution, information, radius, phi_settled = maximise_phi(hyperparameters, solution, radius)
         phi = solution.phi
         if known is not None and near and len(phi) == len(known.phi):
             offset, below = phi - known.phi, float(known.solution.log_posterior - solution.log_posterior)
-            if max(below, 0.5 * float(offset @ known.curvature @ offset)) < SAME * len(phi) and below > 0.0:
+            if max(below, 0.5 * float(offset @ known.information @ offset)) < SAME * len(phi) and below > 0.0:
                 return known
 
         # Gauss–Newton step of x, to the point of the next linearisation
@@ -195,7 +193,7 @@ def maximise(
                 hyperparameters=hyperparameters,
                 solution=solution,
                 point=point,
-                curvature=average_information(hyperparameters, solution) if B is None else B,
+                information=information if near else average_information(hyperparameters, solution),
                 increments=tuple(increments),
                 converged=settled,
             )
@@ -204,7 +202,7 @@ def maximise(
 
 
 def maximise_phi(
-    hyperparameters: Hyperparameters, solution: Solution, B: Array | None = None, radius: float = FURTHEST
+    hyperparameters: Hyperparameters, solution: Solution, radius: float = FURTHEST
 ) -> tuple[Solution, Array, float, bool]:
     """Maximise ℓ over φ at fixed residuals, by at most STEPS steps of a trust region.
 
@@ -212,22 +210,18 @@ def maximise_phi(
     ----------
     hyperparameters, solution
         Elements of φ, and the first solution.
-    B : (D, D)
-        Approximation to minus the second derivative of ℓ; the average information if None.
     radius
         Δ, the largest step.
 
     Returns
     -------
-    solution, B, radius
-        Last solution, B and Δ. If x has settled, too, B is the average information there.
+    solution, information, radius
+        Last solution, the average information there, and Δ.
     settled
         True if the expected gain of ℓ is below GAIN per element.
     """
-    linearisation, bounded, average = solution.linearisation, hyperparameters.bounded, None
-    gradient, enough = score(hyperparameters, solution), GAIN * max(1, len(hyperparameters))
-    if B is None:
-        B = average = average_information(hyperparameters, solution)
+    bounded, enough = hyperparameters.bounded, GAIN * max(1, len(hyperparameters))
+    gradient, information, B = derivatives(hyperparameters, solution)
     for _ in range(STEPS):
         free = np.flatnonzero(~(bounded & (solution.phi <= 0.0) & (gradient <= 0.0)))
         step = np.zeros(len(gradient))
@@ -235,23 +229,19 @@ def maximise_phi(
         gain = 0.5 * float(gradient @ step)
         if not np.isfinite(gain):
             raise np.linalg.LinAlgError("a step of the hyperparameters is not finite")
-        if gain < enough and (B is average or not negligible(solution)):
+        if gain < enough:
             break
-        if gain < enough:  # settled by the updated B: confirm with the average information
-            B = average = average_information(hyperparameters, solution) if average is None else average
-            continue
         step *= min(1.0, radius / float(np.abs(step).max()))
         step = np.where(bounded, np.maximum(solution.phi + step, 0.0), solution.phi + step) - solution.phi
-        tried = solution_at(linearisation, hyperparameters, solution.phi + step)
-        tried_gradient = score(hyperparameters, tried)
         expected = float(gradient @ step - 0.5 * step @ B @ step)
+        tried = solution_at(solution.linearisation, hyperparameters, solution.phi + step)
         gained = float(tried.log_posterior - solution.log_posterior)
-        B = _bfgs_update(B, step, gradient - tried_gradient)
         poor = gained < 0.1 * expected or expected <= 0.0
         radius = 0.3 * float(np.abs(step).max()) if poor else min(2.0 * radius, FURTHEST)
         if gained > 0.0:
-            solution, gradient, average = tried, tried_gradient, None
-    return solution, B, radius, gain < enough
+            solution = tried
+            gradient, information, B = derivatives(hyperparameters, solution)
+    return solution, information, radius, gain < enough
 
 
 def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum:
@@ -326,17 +316,6 @@ def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maxim
 def _outliers(solution: Solution) -> list[BoolArray]:
     """Return True, by group of `fits.Falls`, for rows so far from the fit that they are left out."""
     return [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(solution))]
-
-
-def _bfgs_update(B: Array, step: Array, change: Array) -> Array:
-    """Return the BFGS update of B by the change of the gradient over a step, damped (Powell) to stay positive."""
-    along = B @ step
-    square, observed = float(step @ along), float(step @ change)
-    if square <= 0.0 or not np.isfinite(observed):
-        return B
-    share = 1.0 if observed >= 0.2 * square else 0.8 * square / (square - observed)
-    damped = share * change + (1.0 - share) * along
-    return np.asarray(B - np.outer(along, along) / square + np.outer(damped, damped) / float(step @ damped))
 
 
 def _estimable(solution: Solution) -> BoolArray:

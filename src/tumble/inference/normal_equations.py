@@ -464,6 +464,37 @@ def times_root(rows: Array, root: Array) -> Array:
     return np.asarray(scipy.linalg.blas.dtrmm(1.0, root.T, flat.T, lower=1).T).reshape(rows.shape)
 
 
+def explained(solution: Solution, at_stations: Array, of_sessions: Array) -> Array:
+    """Return bᵀ C b (D, D), with the covariance C of all unknowns: what a fit explains of whitened rows z, if b = Xᵀ z.
+
+    Parameters
+    ----------
+    at_stations : (M, d, D)
+        b of the unknowns of each station.
+    of_sessions : (S, q + 1 + m, D)
+        b of the parameters of each session, gravity and the common parameters; it is overwritten.
+    """
+    equations, q, D = solution.equations, solution.local.shape[-1], at_stations.shape[-1]
+    inverse, by_next = equations.inverses
+    for b, part in zip(of_sessions, solution.problem.parts, strict=True):
+        stations = part.stations
+        b += np.tensordot(equations.sensitivity[stations, :, :-1], at_stations[stations], axes=((0, 1), (0, 1)))
+    noise = np.swapaxes(inverse, 1, 2) @ adjoint(by_next, at_stations)
+    local = np.swapaxes(solution.roots[:, :q, :q], 1, 2) @ of_sessions[:, :q]
+    common = solution.roots[0, q:, q:].T @ of_sessions[:, q:].sum(axis=0)
+    common += np.tensordot(solution.roots[:, :q, q:], of_sessions[:, :q], axes=((0, 1), (0, 1)))
+    columns = np.concatenate([part.reshape(-1, D) for part in (noise, local, common)])
+    return np.asarray(columns.T @ columns)
+
+
+def adjoint(by_next: Array, values: Array) -> Array:
+    """Return g (…, M, d, k) of the recursion g_{i+1} = v_{i+1} + A_iᵀ g_i that is adjoint to the back-substitution."""
+    back, out = np.zeros(by_next.shape), np.ascontiguousarray(values[..., ::-1, :, :])
+    back[..., :-1, :, :] = np.swapaxes(by_next[..., -2::-1, :, :], -1, -2)
+    recur_backwards(back, out)
+    return out[..., ::-1, :, :]
+
+
 def session_mean_bias(equations: NormalEquations) -> tuple[Array, Array]:
     """Return derivatives of the mean in-run biases over the rests of a session (20).
 
@@ -478,11 +509,9 @@ def session_mean_bias(equations: NormalEquations) -> tuple[Array, Array]:
     n = equations.noise.biases
     sigma, first = equations.noise.state_sigma[..., :n], equations.unknowns - equations.noise.states
     biases, (*stack, N, d, _) = slice(first, first + n), inverse.shape
-    carried, back = np.zeros((*stack, N, d, n)), np.zeros((*stack, N, d, d))  # transposed, from the last station on
-    carried[..., biases, :] = sigma[..., None, None, :] * np.eye(n) / N
-    back[..., :-1, :, :] = np.swapaxes(by_next[..., -2::-1, :, :], -1, -2)
-    recur_backwards(back, carried)
-    by_noise = np.swapaxes(carried[..., ::-1, :, :], -1, -2) @ inverse
+    by_station = np.zeros((*stack, N, d, n))
+    by_station[..., biases, :] = sigma[..., None, None, :] * np.eye(n) / N
+    by_noise = np.swapaxes(adjoint(by_next, by_station), -1, -2) @ inverse
     along, rows = np.swapaxes(by_noise, -3, -2).reshape(*stack, n, -1), equations.rest_factors[..., 2 * d :]
     return -(along @ rows.reshape(*stack, N * d, -1)), by_noise
 
