@@ -425,12 +425,9 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     # rests, turns and links: Z of a component of variance is 2 v W z zᵀ Wᵀ r
     of_scatter = hyperparameters.members((Scatter, len(SCATTER)))
     of_sensors = hyperparameters.members((SensorFactor, problem.sensors))
-    kinds = (
-        (equations.rest_rows, problem.station, [part.rests for part in problem.parts]),
-        (equations.turn_rows, problem.before_turn, [part.turns for part in problem.parts]),
-        (equations.link_rows, problem.before_link, [slice(None)] * problem.moves),
-    )
-    for (rows, before, parts), (W, (r, _), (directions, place)) in zip(kinds, solution.by_kind, strict=True):
+    for (rows, before, parts), (W, (r, _), (directions, place)) in zip(
+        solution.row_blocks, solution.by_kind, strict=True
+    ):
         members = of_scatter[:, place]
         members[:, : problem.sensors] += of_sensors if before is problem.station else 0.0
         along = W @ directions

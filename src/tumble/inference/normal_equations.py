@@ -28,7 +28,7 @@ from tumble.inference.elimination import conditional_covariances, eliminate, fol
 from tumble.inference.elimination_kernels import reduced_rows, residual_covariances
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import NoiseModel, VarianceComponents
-from tumble.inference.problem import Problem, SessionSpan
+from tumble.inference.problem import Problem
 from tumble.units import Array, IntArray
 
 
@@ -214,6 +214,16 @@ class Solution:
         return conditional_covariances(*self.equations.inverses)
 
     @property
+    def row_blocks(self) -> tuple[tuple[Array, IntArray, list[slice]], ...]:
+        """For rests, turns and links: whitened rows, the first station of each, and the slice of each session."""
+        problem, equations = self.problem, self.equations
+        return (
+            (equations.rest_rows, problem.station, [part.rests for part in problem.parts]),
+            (equations.turn_rows, problem.before_turn, [part.turns for part in problem.parts]),
+            (equations.link_rows, problem.before_link, [slice(None)] * problem.moves),
+        )
+
+    @property
     def by_kind(self) -> Iterator[tuple[Array, tuple[Array, Array], tuple[Array, IntArray]]]:
         """For rests, turns and links: Σ^{−½}, residuals with covariances, and directions with indices in SCATTER."""
         equations = self.equations
@@ -244,14 +254,9 @@ class Solution:
         E those for the shared unknowns, directly and through the stations. The covariance of the residual is
 
             1 − A S Aᵀ − (E U)(E U)ᵀ"""
-        problem, equations, out = self.problem, self.equations, list[tuple[Array, Array]]()
-        (here, with_next), sensitivity = self.conditional_covariances, equations.sensitivity
-        kinds = (
-            (equations.rest_rows, problem.station, [part.rests for part in problem.parts]),
-            (equations.turn_rows, problem.before_turn, [part.turns for part in problem.parts]),
-            (equations.link_rows, problem.before_link, [slice(None)] * problem.moves),
-        )
-        for rows, before, parts in kinds:
+        sensitivity, out = self.equations.sensitivity, list[tuple[Array, Array]]()
+        here, with_next = self.conditional_covariances
+        for rows, before, parts in self.row_blocks:
             (K, t, columns), width = rows.shape, sensitivity.shape[-1]
             residual, covariance, work = np.zeros((K, t)), np.zeros((K, t, t)), np.empty((t, columns - width))
             for part, root, shared in zip(parts, self.roots, self.shared, strict=False):
@@ -279,13 +284,17 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
     *stack, _, _, width = rest.shape
     factors, size = np.empty((*stack, len(problem.link), d, d + width)), width - d
     triangles = np.swapaxes(np.zeros((*stack, len(problem.parts), size, size)), -1, -2)
-    at_stations = station_rows(problem, rest)
-    joints = joint_rows(linearisation, turn, link) if states else turn
+    at_stations, joints = rest, joint_rows(linearisation, turn, link) if states else turn
+    if problem.moves:  # the rows of the rests at their stations; nodes have none
+        r = rest.shape[-2] if len(problem.station) else 0
+        at_stations = np.zeros((*stack, len(problem.link), r, width))
+        at_stations[..., problem.station, :, :] = rest[..., :r, :]
     initial = np.zeros((d, d + width))  # states of the first station have unit variance
     initial[d - states :, d - states : d] = np.eye(states)
     for s, part in enumerate(problem.parts):
-        stations, links = part.stations, session_links(part, states > 0)
-        between = stations if states else part.turns
+        stations, between, links = part.stations, part.turns, part.link
+        if states:  # they join every two stations
+            between, links = stations, np.append(np.arange(len(part.link) - 1), -1)
         for at in product(*map(range, stack)):
             rows = at_stations[at][stations], joints[at][between]
             eliminate(*rows, links, factors[at][stations], triangles[at][s], initial)
@@ -322,16 +331,6 @@ def whiten(
     return rest, turn, link
 
 
-def station_rows(problem: Problem, rest: Array) -> Array:
-    """Return the rows of the rests (N, r, ·) at their stations (M, r, ·), zero at nodes; (M, 0, ·) without rests."""
-    if not problem.moves:
-        return rest
-    rest = rest if len(problem.station) else rest[..., :0, :]
-    out = np.zeros((*rest.shape[:-3], len(problem.link), *rest.shape[-2:]))
-    out[..., problem.station, :, :] = rest
-    return out
-
-
 def joint_rows(linearisation: Linearisation, turn: Array, link: Array) -> Array:
     """Return the rows (M, t + l + s, 2 d + w) that join each station to the next.
 
@@ -352,13 +351,6 @@ def joint_rows(linearisation: Linearisation, turn: Array, link: Array) -> Array:
     joints[..., here, t + k + state, d - s + state] = -noise.state_rho[..., noise.follows, :] / step
     joints[..., here, t + k + state, 2 * d - s + state] = 1.0 / step
     return joints
-
-
-def session_links(part: SessionSpan, chained: bool) -> IntArray:
-    """Return the row block between each station of a session and the next, −1 for none.
-
-    Every two stations have one if they are `chained` by states; otherwise only those with a turn."""
-    return np.append(np.arange(len(part.link) - 1), -1) if chained else part.link
 
 
 def add_priors(linearisation: Linearisation, equations: NormalEquations, **at_phi: Array) -> Solution:
