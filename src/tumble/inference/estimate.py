@@ -199,7 +199,7 @@ class Integral:
     """Quality of the integral over the hyperparameters.
 
     Number of points, their effective number, the shape of the Pareto distribution of their weights, and the largest
-    sampling error of a u, relative, or of a value, in u, from two independent sets of points."""
+    sampling error of a u, relative, or of a value, in u."""
 
     points: int
     effective: float

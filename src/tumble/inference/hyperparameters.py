@@ -284,8 +284,8 @@ def derivatives(hyperparameters: Hyperparameters, solution: Solution) -> tuple[A
     """
     forms, information = quadratic_forms(hyperparameters, solution), average_information(hyperparameters, solution)
     square, trace = np.where(hyperparameters.variances(solution.phi), forms, 0.0)
-    likelihood = information.diagonal() - solution.prior_terms[2]
-    share = np.clip(likelihood / np.maximum(2.0 * square, 1e-300), 0.0, 1.0)
+    likelihood = np.maximum(information.diagonal() - solution.prior_terms[2], 0.0)
+    share = likelihood / np.maximum(np.maximum(2.0 * square, likelihood), 1e-300)
     B = information + np.diag(2.0 * np.maximum(trace - square, 0.0) * (1.0 - share))
     return forms[0] - forms[1] + solution.prior_terms[1], information, B
 

@@ -9,7 +9,7 @@ groups c, into which many sizes S = λ s are folded by small matrices,
 
 Groups on which the session has no information keep their usual sizes.
 
-Proposal: a Gaussian copula, φ_i = F_i⁻¹(N(z_i)), where z has correlations from the average information. Let r be the
+Proposal: a Gaussian copula, φ_i = F_i⁻¹(N(z_i)), where z has correlations from the second derivative of ℓ. Let r be the
 residuals, V their covariance, P the inverse of V with all unknowns eliminated, D = ∂V/∂v for a variance v, and
 ρ = v/v̂ its ratio to that at the maximum of ℓ, the logarithm of the posterior of φ. The density f_i of F_i is
 
@@ -33,8 +33,10 @@ summed over its sizes, are Pareto smoothed (Vehtari et al. 2024). With the step 
     x̄ = Σ w m,    C = Σ w (Ω + m mᵀ) − x̄ x̄ᵀ
 
 and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians divided by its u. u is
-limited to half of that half width, which few far points do not affect. Half the difference between the results of the
-two independent sequences, of a u or of a value divided by u, is the sampling error.
+limited to half of that half width, which few far points do not affect. The sampling error is half the difference
+between the results of the two independent sequences, of a u or of a value divided by u, or, if larger, that of a half
+width by the scatter of its probabilities at the points (`Draws.coverage`): where few points decide the tails, both
+sequences may agree by chance.
 
 If that error exceeds LARGEST_ERROR, or few points are effective, the proposal misses a part of the posterior: another
 mode, or longer tails. Each sequence is then continued by adaptive multiple importance sampling (Cornuet et al. 2012).
@@ -65,6 +67,7 @@ from tumble.inference.hyperparameters import (
     Hyperparameter,
     Hyperparameters,
     InRunSize,
+    derivatives,
     quadratic_forms,
     scaled,
     solution_at,
@@ -103,14 +106,14 @@ KNOTS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0])  # standard devi
 # at the maximum gives less than INFORMED of one, TIME_STRETCH times as large as it gives and about the maximum.
 TIMES = np.array([-3.0, -2.0, -1.4, -0.9, -0.4, 0.0, 0.4, 0.9, 1.4, 2.0, 3.0])
 INFORMED, TIME_STRETCH = 0.2, 1.5
-# Factor on the correlations of the average information for each of two elements: away from the maximum, where variances
+# Factor on the correlations of the second derivative for each of two elements: away from the maximum, where variances
 # vanish, they are smaller. For p of λ = exp(max(p, 0)) it is the probability of p > 0: below, φ does not matter.
 CORRELATED = 0.8
 PRIOR_SHARE = 0.15  # share of the prior in the density along a correlation time
 REACH = 8.0  # standard deviations to which densities along standard deviations extend
 # Twice the sum of 1 − u²/s² over a group, below which the group keeps its usual size.
 INFORMATIVE_GROUP = 0.2
-MIXED = 128  # draws of the mixture of Gaussians from which coverage factors are computed
+MIXED = 256  # draws with sizes of groups from whose Gaussians coverage factors are computed
 SHIFT = 0.6180339887498949  # offset between sequences of points in the unit cube: the golden ratio less 1
 COVERAGE = 0.9545
 MOST_DEGREES = 1e6
@@ -173,6 +176,7 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
             integral=Integral(points=1, effective=1.0, pareto=0.0),
             hyperparameters=_summary(fitted, fitted.phi[None], np.ones(1)),
         )
+    linear = slice(1, 1 + fitted.problem.instrument.linear_count)
     count = max((1 if len(proposal.inner) else 2) * FIRST_POINTS // 2, len(proposal.outer) + SPARE_POINTS)
     for first, second in zip(*(_rounds(fitted, proposal, count, sequence) for sequence in (0, 1)), strict=True):
         both, u = Draws.joined((first, second)), np.maximum(first.u + second.u, 1e-300)
@@ -182,7 +186,9 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
         else:
             enough = both.effective > ROUNDS_EFFECTIVE and both.smoothed_weights[1] < LARGEST_SHAPE
         if enough and error < LARGEST_ERROR:
-            break
+            error = max(error, float(both.coverage[1][linear].max()))
+            if error < LARGEST_ERROR:
+                break
     phi, weight = both.phi.reshape(-1, len(fitted.phi)), both.weight.ravel()
     typical = weight @ phi  # root-mean-square standard deviations and geometric-mean times
     for i, h in enumerate(fitted.hyperparameters):
@@ -192,8 +198,7 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
     mean, within, between = both.moments()
     sources = scaled_to(contributions(solution), within) | {"hyperparameters": between}
     covariance = np.sum(list(sources.values()), axis=0)
-    means, deviations, share = both.mixture()
-    factor = coverage_factors(means - mean, deviations, share, np.sqrt(np.diag(covariance)))
+    factor, _ = both.coverage
     shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
     process_mean, process_within, process_between = both.moments(process=True)
     return Posterior(
@@ -278,8 +283,9 @@ class Proposal:
 
     @staticmethod
     def about(fitted: Maximum) -> Proposal:
-        """Return the proposal from the gradient and the average information at a maximum."""
-        hyperparameters, solution, phi, B = fitted.hyperparameters, fitted.solution, fitted.phi, fitted.information
+        """Return the proposal from the derivatives of ℓ at a maximum."""
+        hyperparameters, solution, phi = fitted.hyperparameters, fitted.solution, fitted.phi
+        _, _, B = derivatives(hyperparameters, solution)
         forms, densities = quadratic_forms(hyperparameters, solution), dict[int, Density]()
         sizes = [i for i, h in enumerate(hyperparameters) if isinstance(h, GroupSize)]
         if sizes:
@@ -470,7 +476,7 @@ class Folded:
     @staticmethod
     def of(information: Array, right: Array, sizes: Array) -> Folded:
         """Fold priors of these sizes into Λ (g, g) and h (g,)."""
-        factors = np.empty((*sizes.shape, len(right)))
+        factors = np.zeros((*sizes.shape, len(right)))
         values, log_likelihood = np.empty(sizes.shape), np.empty(len(sizes))
         fold_sizes(information, right, sizes, factors, values, log_likelihood)
         if not np.isfinite(log_likelihood.sum()):
@@ -666,18 +672,40 @@ class Draws(Triangles):
         within = np.tensordot(weight, omega, axes=1) + propagated(self.within)
         return mean, within, (deviation.T * weight) @ deviation + propagated(self.between)
 
-    def mixture(self) -> tuple[Array, Array, Array]:
-        """Draw MIXED times from the mixture of Gaussians; return their means and standard deviations (·, 1 + m), and
-        weights (·,)."""
-        cumulative = np.cumsum(self.weight.ravel())
-        drawn, count = np.unique(np.searchsorted(cumulative, (np.arange(MIXED) + 0.5) / MIXED), return_counts=True)
-        point, size = np.divmod(np.minimum(drawn, len(cumulative) - 1), self.sizes.shape[1])
-        means, variance = self.alpha[point], np.diagonal(self.omega, axis1=1, axis2=2)[point]
-        for row, (k, sizes) in enumerate(zip(point.tolist(), self.sizes[point, size], strict=True)):
-            gamma, folded = self.gamma[k], Folded.of(self.information[k], self.right[k], sizes[None])
-            means[row] += gamma @ folded.values[0]
-            variance[row] += ((gamma @ folded.covariance(np.ones(1))) * gamma).sum(axis=1)
-        return means, np.sqrt(variance), count / MIXED
+    @cached_property
+    def coverage(self) -> tuple[Array, Array]:
+        """Coverage factors of gravity and the parameters (1 + m,), and their relative sampling errors.
+
+        With P_i the probability of the interval of a parameter at a point, its mean P has the variance Σ w² (P_i − P)²,
+        and the half width of the interval that of P over the density at its ends."""
+        mean, within, between = self.moments()
+        u, (means, deviations, weight, point) = np.sqrt(np.diag(within + between)), self.mixture()
+        factor = coverage_factors(means - mean, deviations, weight, u)
+        probability, density = interval_probability(factor * u, means - mean, deviations)
+        deviation = np.zeros((len(self.phi), len(u)))
+        np.add.at(deviation, point, weight[:, None] * (probability - weight @ probability))
+        width = weight @ density * u * factor
+        error = np.sqrt((deviation**2).sum(axis=0))
+        return factor, np.divide(error, width, out=np.zeros_like(u), where=width > 0.0)
+
+    def mixture(self) -> tuple[Array, Array, Array, IntArray]:
+        """Return means and standard deviations (·, 1 + m) of a mixture of Gaussians, weights (·,) and points (·,): all
+        points or, of draws with sizes, MIXED of them."""
+        means, variance, weight = self.alpha, np.diagonal(self.omega, axis1=1, axis2=2), self.weight.ravel()
+        if self.sizes.shape[2] == 0:
+            return means, np.sqrt(variance), weight, np.arange(len(means))
+        chosen = np.searchsorted(np.cumsum(weight), (np.arange(MIXED) + 0.5) / MIXED)
+        drawn, count = np.unique(np.minimum(chosen, len(weight) - 1), return_counts=True)
+        point, size = np.divmod(drawn, self.sizes.shape[1])
+        means, variance = means[point], variance[point]
+        for k in np.unique(point):
+            here, gamma = np.flatnonzero(point == k), self.gamma[k]
+            sizes = self.sizes[k, size[here]]
+            folded = Folded.of(self.information[k], self.right[k], sizes)
+            along = np.linalg.solve(np.swapaxes(folded.factors, 1, 2), sizes[:, :, None] * gamma.T)
+            means[here] += folded.values @ gamma.T
+            variance[here] += (along**2).sum(axis=1)
+        return means, np.sqrt(variance), count / MIXED, point
 
 
 def _draw(fitted: Maximum, proposal: Proposal, normal: Array, sequence: int) -> Draws:
@@ -802,18 +830,25 @@ def coverage_factors(means: Array, deviations: Array, weight: Array, u: Array) -
 
     By Newton's method, safeguarded by bisection."""
     low, high, k = np.zeros(len(u)), np.full(len(u), 20.0), np.full(len(u), 2.0)
-    safe = np.where(deviations > 0.0, deviations, 1.0)
     for _ in range(60):
-        above, below = (k * u - means) / safe, (-k * u - means) / safe
-        missing = COVERAGE - weight @ (scipy.special.ndtr(above) - scipy.special.ndtr(below))
-        density = weight @ ((np.exp(-0.5 * above**2) + np.exp(-0.5 * below**2)) / safe) * u / np.sqrt(2.0 * np.pi)
+        missing, density = (weight @ each for each in interval_probability(k * u, means, deviations))
+        missing = COVERAGE - missing
         low, high = np.where(missing > 0.0, k, low), np.where(missing > 0.0, high, k)
-        new = k + missing / np.maximum(density, 1e-300)
+        new = k + missing / np.maximum(density * u, 1e-300)
         new, before = np.where((new >= low) & (new <= high), new, 0.5 * (low + high)), k
         k = new
         if np.all(np.abs(k - before) <= 1e-12 * k):
             break
     return np.where(u > 0.0, k, 0.0)
+
+
+def interval_probability(half_width: Array, means: Array, deviations: Array) -> tuple[Array, Array]:
+    """Return the probabilities (K, m) of intervals ±`half_width` (m,) of Gaussians, and their densities at both ends
+    together."""
+    safe = np.where(deviations > 0.0, deviations, 1.0)
+    above, below = (half_width - means) / safe, (-half_width - means) / safe
+    density = (np.exp(-0.5 * above**2) + np.exp(-0.5 * below**2)) / (safe * np.sqrt(2.0 * np.pi))
+    return scipy.special.ndtr(above) - scipy.special.ndtr(below), density
 
 
 def degrees_of(factor: Array) -> Array:
