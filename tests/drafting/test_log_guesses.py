@@ -21,8 +21,8 @@ from tumble.planning.setup import Setup
 from tumble.recording.columns.names import ACCEL, GYRO, Sensors, columns_by_name
 from tumble.recording.columns.numbers import columns_by_data
 from tumble.recording.columns.scales import resolution_in_deg_s
-from tumble.recording.text.dialect import Dialect, is_clock, top_of
-from tumble.recording.text.text_log import seconds_of
+from tumble.recording.text.clock import is_clock, seconds_of
+from tumble.recording.text.dialect import Dialect, top_of
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, G_STANDARD, Array
 

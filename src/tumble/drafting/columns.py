@@ -34,7 +34,8 @@ from tumble.recording.columns.names import (
 from tumble.recording.columns.numbers import columns_by_data, grows, guess_remarks, time_by_data
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
-from tumble.recording.text.dialect import COUNTS, LINE_BYTES, SEEN_BYTES, Dialect, dialect_of, head_lines, is_clock
+from tumble.recording.text.clock import is_clock
+from tumble.recording.text.dialect import COUNTS, LINE_BYTES, SEEN_BYTES, Dialect, dialect_of, head_lines
 from tumble.recording.text.pieces import opened
 
 _GROWING_SHARE = 0.9  # of the steps of stamps, if these are the times of rows

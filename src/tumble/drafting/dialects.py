@@ -34,7 +34,8 @@ from tumble.errors import InputError
 from tumble.files import OutputFolder, plain_name, whole_file
 from tumble.recording.columns.names import ACCEL, SENSOR_WORDS
 from tumble.recording.log_source import readable
-from tumble.recording.text.dialect import Dialect, dialect_of, encoding_of, is_clock
+from tumble.recording.text.clock import is_clock
+from tumble.recording.text.dialect import Dialect, dialect_of, encoding_of
 from tumble.recording.text.pieces import opened
 
 _SOME_LINES = 200

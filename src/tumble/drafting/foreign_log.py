@@ -34,7 +34,8 @@ from tumble.recording.rows.gaps import is_reading
 from tumble.recording.rows.timed import past_midnight
 from tumble.recording.session import USUAL_RATE_U, Session
 from tumble.recording.session_file import session_of, session_of_gyros
-from tumble.recording.text.dialect import Dialect, is_clock
+from tumble.recording.text.clock import is_clock
+from tumble.recording.text.dialect import Dialect
 from tumble.reduction.blocks.tuning import USUAL
 from tumble.units import Array
 
