@@ -32,7 +32,7 @@ from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import programmes
 from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit, unit_of_name
 from tumble.recording.columns.scales import resolution_in_deg_s
-from tumble.recording.formats import PX4_CORRECTED, is_recording
+from tumble.recording.formats import MESSAGES, is_recording
 from tumble.recording.log import Log
 from tumble.recording.session import USUAL_RATE_U, AutopilotSensor, sensors_content
 from tumble.recording.session_file import SESSION_FILE
@@ -44,12 +44,6 @@ _FAST_QUANTILE = 0.99  # of the magnitudes of the gyros, without single outliers
 _FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": (15e-6, 150e-6)}
 """Magnetic fields on Earth, with iron nearby."""
 _PLAUSIBLE_TEMPERATURES = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # median of a recording
-_CORRECTED = {
-    "accelerometer_m_s2[0]": PX4_CORRECTED,
-    "accSmooth[0]": "Betaflight has corrected accSmooth by align_board_* and acc_calibration (iNav: acczero_*, "
-    "accgain_*): an export is wrong unless these were 0 (gains 4096) while recording",
-}
-"""Doubts by the name of a column."""
 _PX4_COUNTERS = ("accel_calibration_count", "gyro_calibration_count")
 
 
@@ -238,7 +232,7 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     """Return a draft from names and first numbers, with sensors as raw numbers."""
     columns, times = log.columns, log.times(rate)
     remarks, doubts = list(log.remarks), list(log.doubts)
-    for name, sentence in _CORRECTED.items():
+    for name, sentence in MESSAGES["corrected"].items():
         counters = [c for c in _PX4_COUNTERS if c in log.names]  # of calibrations; 0 without any
         uncorrected = len(counters) == len(_PX4_COUNTERS) and not log.read(counters).any()
         corrected = any(name in sensors.columns for sensors in columns.triads.values()) and not uncorrected

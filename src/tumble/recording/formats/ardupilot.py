@@ -25,7 +25,7 @@ from pymavlink.DFReader import DFReader_binary, DFReader_text
 from scipy.spatial.transform import Rotation
 
 from tumble.errors import InputError
-from tumble.recording.formats import AXES, TIME, Message, triads_of
+from tumble.recording.formats import AXES, MESSAGES, TIME, Message, triads_of
 from tumble.recording.panic import COMMAND_LINE, without_panic
 from tumble.recording.session import AutopilotSensor
 
@@ -44,9 +44,7 @@ _COMPENSATED = (
     "ArduPilot has corrected these readings over temperature ({}): an export is wrong; set it to 0 and record again"
 )
 _TEMPERATURE = "temperature"
-_ACCEL = {f"accel_{a}": f"Acc{a.upper()}" for a in AXES}
-_GYRO = {f"gyro_{a}": f"Gyr{a.upper()}" for a in AXES}
-_FIELDS = {"IMU": _ACCEL | _GYRO, "ACC": _ACCEL, "GYR": _GYRO}
+_FIELDS = MESSAGES["ardupilot"]["messages"]
 _INSTANCES = {
     **{kind: (kind, 0) for kind in _FIELDS},
     **{f"{kind}{number}": (kind, number - 1) for kind in _FIELDS for number in (1, 2, 3)},
@@ -110,7 +108,7 @@ def _message(kind: str, instance: int, rows: Any, origin: float, parameters: Map
     return Message(
         name=f"{kind}.{instance}",
         count=len(rows),
-        triads=triads_of(names, {"accel": "m/s^2", "gyro": "rad/s"}),
+        triads=triads_of(names, MESSAGES["ardupilot"]["units"]),
         temperatures=(_TEMPERATURE,) if warm else (),
         rows=lambda: iter([pl.DataFrame(rows[:, : len(names)], schema=names, orient="row")]),
         remark=f"ArduPilot's corrections are undone: {', '.join(undone)}" if undone else "",
