@@ -86,7 +86,7 @@ def identify_log(
     omitted += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in without_accel)
     logs = [log for log in logs if log not in without_accel]
     first = logs[0]
-    alike = all(log.cells and (log.keys, set(log.cells)) == (first.keys, set(first.cells)) for log in logs)
+    alike = all(log.cells and (log.dialect, set(log.cells)) == (first.dialect, set(first.cells)) for log in logs)
     if len(logs) > 1 and not named and alike:
         numeric = _numeric_columns(first)
         time = first.columns.time or time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))
@@ -95,7 +95,7 @@ def identify_log(
     first = logs[0]
     for log in logs[1:]:
         written, first_written = (
-            (each.keys, each.columns.triads, each.columns.time, each.instance) for each in (log, first)
+            (each.dialect, each.columns.triads, each.columns.time, each.instance) for each in (log, first)
         )
         if written != first_written:
             raise InputError(
@@ -113,7 +113,7 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     """Return the log in a file, or one log per sensor if each row belongs to one sensor."""
     check_format(file, recording=file.suffix.lower() in NAMED)
     if file.suffix.lower() == ".parquet":
-        return [ForeignLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
+        return [ForeignLog(files=(file,), columns=columns_by_name(source_of(file).names))]
     with readable(file), opened(file) as stream:
         start = stream.read(SEEN_BYTES)
     if not start:
@@ -144,7 +144,6 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     plain = dialect == Dialect() and top.lines == 1 and "".join(file.suffixes[-2:]).lower().endswith(ENDINGS)
     log = ForeignLog(
         files=(file,),
-        keys={} if plain else dialect.keys(),
         columns=columns_by_name([name for name in top.names if name not in text]),
         preamble=top.preamble,
         cells=cells,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from tumble.drafting.times import ASSUMED_RATE, Stamps, Times, at_rate, times_of_column, times_without_column
+from tumble.drafting.times import Stamps, Times, times_of_column, times_without_column
 from tumble.errors import GyrosAloneError, InputError, LogError, did_you_mean
 from tumble.recording.columns.names import (
     ACCEL,
@@ -57,13 +57,12 @@ StatedColumns = Mapping[str, Sequence[str]]
 class ForeignLog:
     """Files in one dialect, with identified columns.
 
-    `keys` are the keys of [log] that describe the text, `preamble` the lines above the numbers that are neither names
-    nor units, `cells` the first rows by column, `remarks` and `doubts` sentences for the user, `instance` the column
-    that separates several devices in the rows, with the value of the one that is read, and `kept` the readers already
-    opened, by path."""
+    `preamble` are the lines above the numbers that are neither names nor units, `cells` the first rows by column,
+    `remarks` and `doubts` sentences for the user, `dialect` how a text is written, None for plain CSV files, `instance`
+    the column that separates several devices in the rows, with the value of the one that is read, and `kept` the
+    readers already opened, by path."""
 
     files: tuple[Path, ...]
-    keys: Mapping[str, Any]
     columns: Columns
     preamble: tuple[str, ...] = ()
     cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -280,34 +279,31 @@ class ForeignLog:
         raise kind(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(kw_only=True, slots=True)
 class Draft:
-    """Known content of a session.toml, and how each part was found.
+    """The content of a session.toml as far as it is known, with remarks on how each part was found.
 
-    `doubts` are uncertainties, each with its consequence and the option that settles it. `magnetometer` is the table
-    [log.magnetometer], written as a comment because nearby iron disturbs its readings. `whole` is True for kinds of
-    sensors that read whole numbers only; `rate` is in Hz. `magnitude` is the median length of accelerometer readings in
-    the first rows, `largest` that of large gyro readings, both as written; `step` is the resolution of a data sheet,
-    °/s, of which their readings are multiples. `kept` are readers of files by path."""
+    `doubts` are uncertainties, each with its consequence and the option that settles it. `source` is the log, `times`
+    those of its rows. `magnetometer` is the table [log.magnetometer], written as a comment because nearby iron disturbs
+    its readings."""
 
-    content: Mapping[str, Any]
-    remarks: tuple[str, ...]
+    source: ForeignLog
+    times: Times
+    content: dict[str, Any]
+    remarks: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
-    magnetometer: Mapping[str, Any] | None = None
-    triads: Mapping[str, Sensors] = field(default_factory=dict)
-    times: Times = field(default_factory=lambda: at_rate(ASSUMED_RATE, 0.0))
-    whole: Mapping[str, bool] = field(default_factory=dict)
-    rate: float = 1.0
-    magnitude: float = 1.0
-    largest: float = 0.0
-    step: float | None = None
-    kept: Mapping[Path, LogSource] = field(default_factory=dict)
+    magnetometer: dict[str, Any] | None = None
 
     @property
-    def log(self) -> Mapping[str, Any]:
+    def log(self) -> dict[str, Any]:
         """The table [log]."""
-        table: Mapping[str, Any] = self.content["log"]
+        table: dict[str, Any] = self.content["log"]
         return table
+
+    @property
+    def rate(self) -> float:
+        """Sample rate, Hz."""
+        return self.times.rate
 
     @property
     def rate_guessed(self) -> bool:
@@ -320,14 +316,22 @@ class Draft:
         file = self.log["file"]
         return tuple(map(Path, [file] if isinstance(file, str) else file))
 
+    @property
+    def triads(self) -> dict[str, Sensors]:
+        """Accelerometers and gyros."""
+        triads = self.source.columns.triads
+        return {kind: triads[kind] for kind in (ACCEL, GYRO) if kind in triads}
+
     def unit(self, kind: str) -> str | None:
         """Return the unit in the column names of a kind of sensor."""
         return self.triads[kind].unit
 
-    def session(self) -> Session:
-        """Return the session of the content, without reading files again."""
-        session = session_of(self.content) if "accel" in self.log else session_of_gyros(self.content)
-        files = tuple(self.kept.get(Path(str(file)), file) for file in session.log.files)
+    def session(self, **log: Any) -> Session:
+        """Return the session of the content, with other keys of [log], None for none, without reading files again."""
+        table = {key: value for key, value in {**self.log, **log}.items() if value is not None}
+        content = {**self.content, "log": table}
+        session = session_of(content) if ACCEL in table else session_of_gyros(content)
+        files = tuple(self.source.kept.get(Path(str(file)), file) for file in session.log.files)
         return replace(session, log=replace(session.log, files=files))
 
 

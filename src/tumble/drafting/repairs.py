@@ -111,9 +111,7 @@ def _copy(
     described = replace(described, time=TIME, time_unit="s") if in_seconds else described
     copied = f"so mended, the log is copied to {files[0].name}{' …' * (len(files) > 1)}"
     remarks = (*log.remarks, *(remark for remark, _ in repairs), *filter(None, [why]), copied)
-    return ForeignLog(
-        files=tuple(files), keys={}, columns=described, preamble=log.preamble, remarks=remarks, doubts=log.doubts
-    )
+    return ForeignLog(files=tuple(files), columns=described, preamble=log.preamble, remarks=remarks, doubts=log.doubts)
 
 
 def _leave_out_other_rows(log: ForeignLog) -> list[Repair]:

@@ -82,7 +82,7 @@ def log_of_recording(
     )
     imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
     doubts = tuple(dict.fromkeys(m.doubt for m in taken if m.doubt))
-    return ForeignLog(files=(log,), keys={}, columns=columns, remarks=tuple(remarks), doubts=doubts), imu
+    return ForeignLog(files=(log,), columns=columns, remarks=tuple(remarks), doubts=doubts), imu
 
 
 # -------------------- several devices in a table --------------------
@@ -233,7 +233,7 @@ def join_sensors(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog
     others = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
     remark = f"{used}: one log at the times of the gyros{summed}, written to {joined}"
     fastest = parts.get(GYRO, first)
-    return ForeignLog(files=(joined,), keys={}, columns=columns, remarks=(remark, *others, fastest.remark))
+    return ForeignLog(files=(joined,), columns=columns, remarks=(remark, *others, fastest.remark))
 
 
 def _time_and_axes(log: ForeignLog, kind: str) -> tuple[ForeignLog, list[str]]:
