@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from tumble.drafting.containers import NAMED, NoLogError, check_format
+from tumble.drafting.containers import BINARY_ENDINGS, NoLogError, check_format
 from tumble.drafting.dialects import copy_as_tables
 from tumble.drafting.foreign_log import HEAD_ROWS, LONGEST, SAMPLE_ROWS, ForeignLog, StatedColumns
 from tumble.drafting.repairs import nanoseconds_column, with_signs
@@ -26,6 +26,7 @@ from tumble.recording.columns.names import (
     ACCEL,
     GYRO,
     MAGNETOMETER,
+    NAMED,
     columns_by_name,
     is_no_sensor,
     time_unit,
@@ -35,7 +36,7 @@ from tumble.recording.columns.numbers import columns_by_data, grows, guess_remar
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
 from tumble.recording.text.clock import is_clock
-from tumble.recording.text.dialect import COUNTS, LINE_BYTES, SEEN_BYTES, Dialect, dialect_of, head_lines
+from tumble.recording.text.dialect import LINE_BYTES, SEEN_BYTES, Dialect, dialect_of, head_lines
 from tumble.recording.text.pieces import opened
 
 _GROWING_SHARE = 0.9  # of the steps of stamps, if these are the times of rows
@@ -111,7 +112,7 @@ def identify_log(
 
 def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     """Return the log in a file, or one log per sensor if each row belongs to one sensor."""
-    check_format(file, recording=file.suffix.lower() in NAMED)
+    check_format(file, recording=file.suffix.lower() in BINARY_ENDINGS)
     if file.suffix.lower() == ".parquet":
         return [ForeignLog(files=(file,), columns=columns_by_name(source_of(file).names))]
     with readable(file), opened(file) as stream:
@@ -274,7 +275,7 @@ def _with_time(log: ForeignLog) -> ForeignLog:
     if log.columns.time is not None:
         return log
     sensors = {c for triad in log.columns.triads.values() for c in triad.columns}
-    names = [name for name in _numeric_columns(log) if name not in sensors and not COUNTS.fullmatch(name)]
+    names = [name for name in _numeric_columns(log) if name not in sensors and not NAMED["counter"].fullmatch(name)]
     time = time_by_data(names, log.read(names, rows=LONGEST // 10)) if names else None
     if time is None:
         return log

@@ -14,7 +14,7 @@ from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_text
 from tumble.drafting.foreign_log import Draft, linear_acceleration
 from tumble.drafting.hypotheses import Evidence, Hypothesis, gather_evidence, ranked_hypotheses
 from tumble.errors import InputError, TumbleError
-from tumble.recording.columns.names import ACCEL, GYRO, WITHOUT_GRAVITY
+from tumble.recording.columns.names import ACCEL, GYRO, NAMED
 from tumble.recording.columns.scales import COUNTS_PER, COUNTS_PER_SI, SensorScale
 from tumble.recording.session import USUAL_RATE_U
 from tumble.run.observed import Progress, inspect_session
@@ -89,7 +89,7 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence, state
     elif not (evidence.whole[ACCEL] or unit == "V") and (
         not best.accel.listed or abs(evidence.length / best.accel.reading(best.times.rate) - 1.0) > _GRAVITY_TOLERANCE
     ):
-        if WITHOUT_GRAVITY.search(columns[0]):
+        if NAMED["without_gravity"].search(columns[0]):
             raise linear_acceleration(draft.files[0], columns)
         by_names = GYRO in draft.triads and ACCEL not in stated and GYRO not in stated
         if by_names and evidence.rests >= _FEWEST_FOR_GRAVITY and like_gravity(evidence.gyro):

@@ -32,7 +32,7 @@ from typing import IO, Any
 
 from tumble.errors import InputError
 from tumble.files import OutputFolder, plain_name, whole_file
-from tumble.recording.columns.names import ACCEL, SENSOR_WORDS
+from tumble.recording.columns.names import ACCEL, NAMED
 from tumble.recording.log_source import readable
 from tumble.recording.text.clock import is_clock
 from tumble.recording.text.dialect import Dialect, dialect_of, encoding_of
@@ -287,7 +287,7 @@ def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
             2 <= len(words) <= _MOST_SENSORS
             and 4 * changes > len(column)
             and not any(not word or dialect.is_number(word) or is_clock(word) for word in words)
-            and any(SENSOR_WORDS[ACCEL].search(word) or _IMU.fullmatch(word) for word in words)
+            and any(NAMED[ACCEL].search(word) or _IMU.fullmatch(word) for word in words)
         ):
             break  # alternating names of sensors
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -19,6 +19,7 @@ from tumble.recording.columns.names import (
     ACCEL,
     GYRO,
     MAGNETOMETER,
+    NAMED,
     TIME_KIND,
     Columns,
     Sensors,
@@ -43,8 +44,7 @@ LONGEST = 2_000_000  # rows that are read to identify a log
 HEAD_ROWS = 20_000
 SAMPLE_ROWS = 200
 SHOWN_NAMES = 12  # in a message
-_GRAVITY = re.compile("grav", re.IGNORECASE)
-_LINEAR = re.compile(r"(user|free|linear)_?acc(?!.*cov)|\blacc", re.IGNORECASE)
+_REFUSALS = tomllib.loads(Path(__file__).with_name("refusals.toml").read_text(encoding="utf-8"))
 _GRAVITY_TOLERANCE = 0.1  # of gravity
 _FEWEST_ROWS = 50
 _SHORTEST_SESSION = 4 * USUAL.rest  # s, the time of four rests; fewer determine nothing
@@ -246,37 +246,33 @@ class ForeignLog:
                 f"{self.files[0]}: expected a recording, found a table of {rows} rows; a table of mean readings, a row "
                 f"a position, is calibrated by `tumble ellipsoid {name}`"
             )
-        if ACCEL not in triads and (linear := list(filter(_LINEAR.search, names))):
+        if ACCEL not in triads and (linear := list(filter(NAMED["linear_acceleration"].search, names))):
             raise linear_acceleration(self.files[0], linear)
         if ACCEL in triads or (gyros_suffice and GYRO in triads):
             return
-        found, field = ", ".join(names[:SHOWN_NAMES])[:200], triads.get(MAGNETOMETER)
-        expected = "columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z"
-        remedy = "log the readings of the accelerometers too"
-        if GYRO in triads:
-            found = f"gyros alone ({', '.join(triads[GYRO].columns)[:120]})"
-            remedy += f"; of gyros alone tumble calibrate {name} tells the biases, tumble noise the noise"
-        elif field is not None and sum(not is_no_sensor(n) for n in names if n not in field.columns) < 3:
-            expected, found = "readings of accelerometers", f"a magnetometer alone ({', '.join(field.columns)[:120]})"
-            remedy = "log the accelerometers in the same rows; tumble calibrate calibrates the magnetometer with them"
-        elif len(names) == 3 and all(map(str.isdecimal, names)):
-            expected, found = "a recording", "three columns without names that are no sensor by their numbers"
-            remedy = "of a table with a row a position write `x,y,z` above the rows and give it to `tumble ellipsoid`"
-        elif any(map(_GRAVITY.search, names)):
-            expected = "readings of accelerometers"
-            found = f"gravity, which a filter has made of them ({found[:120]})"
-            remedy = "log the raw accelerometers"
-        elif sum(not is_no_sensor(n) for n in names) >= 3:
-            remedy = "state which they are (--accel N,N,N, names or numbers from 1)"
         sensors = [column for triad in triads.values() for column in triad.columns]
         known = {self.columns.time, *self.columns.temperatures, *sensors}
         unknown = [name for name in names if name not in known and not is_no_sensor(name)]
-        if GYRO in triads and len(unknown) >= 3 and differ_in_axis_alone(unknown[:3]):
-            found += f" and columns that are not understood ({', '.join(unknown[:SHOWN_NAMES])[:120]})"
-            remedy = f"state the accelerometers (--accel {','.join(unknown[:3])})"
-            raise InputError(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
-        kind = GyrosAloneError if GYRO in triads else InputError
-        raise kind(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
+        others = [name for name in names if not is_no_sensor(name)]
+        kind = "unknown" if len(others) >= 3 else "nothing"
+        if GYRO in triads:
+            understood = len(unknown) < 3 or not differ_in_axis_alone(unknown[:3])
+            kind, sensors = "gyros" if understood else "gyros and unknown", list(triads[GYRO].columns)
+        elif MAGNETOMETER in triads and len({*others} - {*triads[MAGNETOMETER].columns}) < 3:
+            kind = "magnetometer"
+        elif len(names) == 3 and all(map(str.isdecimal, names)):
+            kind = "three columns"
+        elif any(map(NAMED["gravity"].search, names)):
+            kind = "gravity"
+        words = {
+            "names": ", ".join(names[:SHOWN_NAMES])[:200],
+            "sensors": ", ".join(sensors)[:120],
+            "unknown": ", ".join(unknown[:SHOWN_NAMES])[:120],
+            "first": ",".join(unknown[:3]),
+            "file": name,
+        }
+        said = "expected {expected}; found {found}; {remedy}".format(**_REFUSALS[kind]).format(**words)
+        raise (GyrosAloneError if kind == "gyros" else InputError)(f"{self.files[0]}: {said}")
 
 
 @dataclass(kw_only=True, slots=True)

@@ -26,11 +26,20 @@ from tumble.drafting.conclusions import complete_draft
 from tumble.drafting.containers import check_format, files_of, unzipped
 from tumble.drafting.foreign_log import HEAD_ROWS, Draft, ForeignLog
 from tumble.drafting.repairs import repair_log
-from tumble.drafting.sensors_apart import CORE_MOTION, log_of_recording
+from tumble.drafting.sensors_apart import log_of_recording
 from tumble.errors import InputError, LogError, did_you_mean
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
 from tumble.programme.positions import programmes
-from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit, unit_of_name
+from tumble.recording.columns.names import (
+    ACCEL,
+    GYRO,
+    MAGNETOMETER,
+    NAMED,
+    TIME_KIND,
+    Sensors,
+    temperature_unit,
+    unit_of_name,
+)
 from tumble.recording.formats import MESSAGES, is_recording
 from tumble.recording.log import Log
 from tumble.recording.session import USUAL_RATE_U, AutopilotSensor, sensors_content
@@ -219,7 +228,7 @@ def drafted_log(
     draft.session()  # checks the content
     faults = complete_draft(draft, progress, widths, given.columns)
     accel = draft.log.get(ACCEL, {"unit": None})
-    if accel["unit"] == "g" and all(map(CORE_MOTION.fullmatch, accel["columns"])):
+    if accel["unit"] == "g" and all(map(NAMED["core_motion"].fullmatch, accel["columns"])):
         # a recording cannot determine the sign, because gyros predict both directions of the vertical alike; source:
         # Apple, CMAccelerometerData and CMMotionManager, Core Motion
         counts = {"unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}

@@ -17,7 +17,7 @@ from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog
 from tumble.drafting.times import Stamps, grows_mostly, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, MAGNETOMETER, is_interval, time_unit
+from tumble.recording.columns.names import ACCEL, MAGNETOMETER, NAMED, is_interval, time_unit
 from tumble.recording.formats import TIME
 from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import GAP_STEP
@@ -25,15 +25,11 @@ from tumble.recording.rows.timed import past_midnight
 from tumble.units import TIME_UNITS, Array, BoolArray
 
 _XSENS_TICK = 1e-4  # s, of SampleTimeFine
-_NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
 _BLANK_SHARE = 0.02  # of rows without readings; a larger share are rows of other sensors
 _READ_SHARE = 0.5  # least share of its sensors that a sample has; a row of words and other numbers has fewer
 _FEWEST_ROWS = 50
 _POSITION_JUMP = 0.2  # of gravity
 _STILL_SHARE, _NOISE_SIGMAS = 0.01, 5.0  # of a jump: rows of a position drift less, those of a turn more
-_LABEL = re.compile(
-    r"part|pos(ition)?|pose|label|section|segment|step|lage|stellung|положение|позиция|位置", re.IGNORECASE
-)
 
 Repair = tuple[str, Callable[[pl.DataFrame], pl.DataFrame]]
 """A remark on a change of the rows of a file, and the change."""
@@ -219,7 +215,8 @@ def _without_overflow(column: pl.Series, overflow: float) -> pl.Series:
 
 def nanoseconds_column(log: ForeignLog) -> str | None:
     """Return the column of nanoseconds beside a time in whole seconds: header.stamp.nsecs beside header.stamp.secs."""
-    return next((n for n in log.names if _NANO.search(n) and _NANO.sub("", n) == log.columns.time), None)
+    nano = NAMED["nanoseconds"]
+    return next((n for n in log.names if nano.search(n) and nano.sub("", n) == log.columns.time), None)
 
 
 # -------------------- 16-bit numbers read as unsigned --------------------
@@ -305,7 +302,7 @@ def _successive_positions(log: ForeignLog) -> tuple[list[tuple[int, int]] | None
     accel = with_signs(log.read(log.columns.triads[ACCEL].columns))
     if np.isnan(accel).all(axis=0).any() or not 2 * _FEWEST_ROWS <= len(accel) < LONGEST:
         return None, ""
-    label = next((n for n in log.cells if _LABEL.fullmatch(n.strip()) and n != log.columns.time), None)
+    label = next((n for n in log.cells if NAMED["label"].fullmatch(n.strip()) and n != log.columns.time), None)
     if label is not None:
         labels = pl.concat([table[label].cast(pl.String) for table in next(log.sources()).whole(())])
         starts = np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy()).tolist()

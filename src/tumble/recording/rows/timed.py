@@ -100,19 +100,8 @@ def rows_of(
 ) -> Iterator[LogRows]:
     """Yield the rows of a file that have a time, table by table, and add what is left out to `gaps`.
 
-    Parameters
-    ----------
-    source, spec
-        Reader of the file, and description of the log.
-    file
-        Number of the file, from 0.
-    grid
-        Equally spaced times.
-    gaps
-        List that is extended.
-    on_grid
-        Whether row k has time k of the grid, or the one nearest to its stamp, in place of the stamp.
-    """
+    With `on_grid` row k has time k of the `grid` of equally spaced times, or the one nearest to its stamp, in place of
+    the stamp."""
     timed = _TimedRows(source=source, spec=spec, file=file, grid=grid, on_grid=on_grid, gaps=gaps)
     first = 1
     for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):

@@ -193,14 +193,14 @@ def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[
         names = names[:-1]
     if len(names) != width - 1:
         return (*names, *[""] * (width - len(names)))
-    from tumble.recording.columns.names import is_no_sensor  # compiles its patterns, which most logs do not need
+    from tumble.recording.columns.names import NAMED, is_no_sensor  # compiles patterns, which most logs do not need
 
     wider = [cells for cells in rows if len(cells) == width]
     numbers = [cells[0].strip('"') for cells in wider]
     numbered = any(numbers == [str(first + i) for i in range(len(numbers))] for first in (0, 1))
     steps = [float(b) - float(a) for a, b in pairwise(numbers)] if all(map(_POINT.fullmatch, numbers)) else []
     even = len(steps) >= FIRST_ROWS - 1 and 0.0 < max(steps) < 2.0 * min(steps) and not is_no_sensor(names[0])
-    if all(cells[-1] for cells in wider) and (numbered or even) and not COUNTS.fullmatch(names[0]):
+    if all(cells[-1] for cells in wider) and (numbered or even) and not NAMED["counter"].fullmatch(names[0]):
         return ("", *names)
     return (*names, "")
 
@@ -212,12 +212,6 @@ def numbered(names: Sequence[str]) -> tuple[str, ...]:
         name if name and counts[name] == 1 else f"column {j}" if str(j) in counts else str(j)
         for j, name in enumerate(names, 1)
     )
-
-
-COUNTS = re.compile(
-    r"\W*(sample|packet|frame|row|seq|record)?[ _]?(count(er)?|index|idx|id|n|nr|no|number|sample|seq|row)\W*", re.I
-)
-"""Names of columns that number rows."""
 
 
 def _are_units(names: Sequence[str]) -> bool:

@@ -27,7 +27,6 @@ from tumble.recording.log_source import (
     LogSource,
     Tables,
     Unread,
-    in_column,
     one_ahead,
     readable,
     rows_of_numbers,
@@ -203,8 +202,8 @@ class TextLog(LogSource):
         """Return the values in a line of a piece."""
         return next(csv.reader([line], delimiter=self.separator, skipinitialspace=True), [])
 
-    def place(self, row: int, column: str | None = None) -> str:
-        return f"{self.path}: row {row} (line {row + self.top})" + in_column(column)
+    def row_in_words(self, row: int) -> str:
+        return f"row {row} (line {row + self.top})"
 
 
 def text_log(path: Path, dialect: Dialect | None) -> TextLog:
