@@ -7,7 +7,7 @@ numbers over a turn of one radian. Its cost is −2 ln of its probability, up to
     (ln L/L_h)² / s²  +  min over δ of [turns(ln Q_h + δ) + δ²/s²]  +  implausible readings  +  assumptions,
 
 with s the usual scale error of a device. The cost of an assumption follows from the frequency of units, counts and
-rates in logs that do not state them (`recording/columns/scales.py`, `drafting/times.py`); a unit in a column's name is
+rates in logs that do not state them (`recording/columns/guesses.toml`); a unit in a column's name is
 certain. A scale or rate that is in no table is taken from the measurement, at the cost of its prior: the density of a
 Gaussian of width s relative to a uniform one over the orders of magnitude that were possible, 2 ln(range / (s √2π)).
 
@@ -23,6 +23,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -38,7 +39,7 @@ from tumble.diagnosis.turn_likelihood import (
     turn_likelihoods,
 )
 from tumble.drafting.foreign_log import HEAD_ROWS, Draft
-from tumble.drafting.times import ASSUMED_RATE, RATE_LIMITS, UNUSUAL_SHARE, USUAL_RATES, Times, at_rate
+from tumble.drafting.times import ASSUMED_RATE, RATE_LIMITS, UNLISTED_SHARE, USUAL_RATES, Times, at_rate
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.numbers import MIDDLES
@@ -46,7 +47,7 @@ from tumble.recording.columns.scales import (
     CANDIDATES,
     COUNTS_PER_SI,
     FASTEST,
-    FREQUENCIES,
+    PRIORS,
     SCALE_TOLERANCE,
     UNLISTED_COUNTS,
     SensorScale,
@@ -80,17 +81,12 @@ _RATE_FACTORS = 0.25, 1.0, 4.0
 _LN_RATE_RANGE = math.log(RATE_LIMITS[1] / RATE_LIMITS[0])
 COUNTS = SensorScale(value=1.0, shares=(1.0, 1.0))
 """Counts of unknown scale, of gyros in a recording without turns."""
-_ZERO = 0.1  # of gravity: standard deviation of the zero of accelerometers in a unit
-_NAMED_RAW_SHARE = 0.1  # share of sensors named as raw that are in a unit, such as `gyroADC` of Betaflight
+_PRIOR = SimpleNamespace(**PRIORS["readings"])
+"""Standard deviations, shares and costs."""
 _FEWEST_COUNTS = 2.0  # per g, of accelerometers in counts
-_HOPELESS = 40.0  # units of accelerometers that cost this much more than the best are not combined with gyro hypotheses
 _LARGEST_BIAS, _LARGEST_NOISE = 20.0 * DEGREE, 0.17 * DEGREE  # rad/s, of small gyros; noise in a mean over a second
-_LN_EXCESS = 0.25  # standard deviation of ln(reading / limit) for readings beyond a limit
-_MOST_EXCESS_COST = 12.0  # a motion that the accelerometers do not show may be the cause
 SHORTEST_REST = 0.6  # s, at the median
 _TABLE_NOISE = 0.015  # m/s² in a mean over a second; a hand or a running machine has more
-_TOO_FAST_COST, _RESOLUTION_COST = 30.0, -12.0
-"""Readings beyond the range of any gyro; readings that are multiples of a resolution of data sheets in °/s."""
 
 
 # -------------------- evidence of rests and turns --------------------
@@ -334,13 +330,13 @@ def ranked_hypotheses(evidence: Evidence, draft: Draft, widths: Widths = WIDTHS)
     hypotheses = []
     for profile in evidence.profiles or (None,):
         for times, gyro, gyro_cost in _gyro_trials(draft, evidence, gyros, profile, widths):
-            short_rests = math.log(max(SHORTEST_REST * times.rate / evidence.samples, 1.0)) / _LN_EXCESS
+            short_rests = math.log(max(SHORTEST_REST * times.rate / evidence.samples, 1.0)) / _PRIOR.excess
             accel_trials = []
             for accel, assumption in accels:
                 scale = accel if accel.listed else replace(accel, value=evidence.length)
                 off = math.log(evidence.length / scale.reading(times.rate)) / deviation
-                zero = max(map(abs, evidence.zero)) / (_ZERO * evidence.length) if accel.unit else 0.0
-                pairs = FREQUENCIES["pairs"].get(accel.unit or "count", {})
+                zero = max(map(abs, evidence.zero)) / (_PRIOR.zero * evidence.length) if accel.unit else 0.0
+                pairs = PRIORS["pairs"].get(accel.unit or "count", {})
                 paired = has_accel and gyro is not None and gyro.listed
                 odds = pairs.get(gyro.unit or "count", 1.0) if paired and gyro is not None else 1.0
                 misfit = 0.0 if unit_stated and accel.unit else off**2 + zero**2
@@ -350,7 +346,7 @@ def ranked_hypotheses(evidence: Evidence, draft: Draft, widths: Widths = WIDTHS)
             hypotheses += [
                 Hypothesis(accel=accel, gyro=gyro, times=times, profile=profile, cost=common + cost)
                 for accel, cost in accel_trials
-                if cost < least + _HOPELESS
+                if cost < least + _PRIOR.hopeless
             ]
     return sorted(hypotheses, key=lambda hypothesis: hypothesis.cost)
 
@@ -376,7 +372,7 @@ def _gyro_trials(
         if profile is not None and free_rate is not None and gyro.unit is not None and not gyro.increment:
             rate = profile.found() * DEGREE / gyro.value
             if RATE_LIMITS[0] <= rate <= RATE_LIMITS[1]:
-                cost = free_rate - 2.0 * math.log(UNUSUAL_SHARE) + cost_of_free_scale(widths.scale, _LN_RATE_RANGE)
+                cost = free_rate - 2.0 * math.log(UNLISTED_SHARE) + cost_of_free_scale(widths.scale, _LN_RATE_RANGE)
                 trials = (*assumed_times, at_rate(float(f"{rate:.4g}"), cost))
         for times in trials:
             scale, cost = gyro, assumption
@@ -412,7 +408,7 @@ def _assumed_scales(
     else:
         for scale in (*CANDIDATES[kind], UNLISTED_COUNTS):
             share = scale.shares[evidence.whole[kind]]
-            share *= _NAMED_RAW_SHARE if name is not None and scale.unit is not None else 1.0
+            share *= _PRIOR.named_raw_share if name is not None and scale.unit is not None else 1.0
             yield scale, -2.0 * math.log(share) + (0.0 if scale.listed else cost_of_free_scale(deviation))
 
 
@@ -425,11 +421,11 @@ def _cost_of_readings(evidence: Evidence, gyro: SensorScale, rate: float, widths
     cost = 0.0
     for value, limit in limits:
         if value * one > limit:
-            cost += min((math.log(value * one / limit) / _LN_EXCESS) ** 2, _MOST_EXCESS_COST)
+            cost += min((math.log(value * one / limit) / _PRIOR.excess) ** 2, _PRIOR.most_excess)
     if evidence.largest * one > FASTEST:
-        cost += _TOO_FAST_COST
+        cost += _PRIOR.too_fast
     if evidence.turning:
         cost += (math.log(evidence.turning * one) / widths.turning) ** 2
     if gyro.unit == "deg/s" and evidence.step is not None:
-        cost += _RESOLUTION_COST
+        cost += _PRIOR.resolution
     return cost

@@ -1,5 +1,5 @@
 """Nominal scales of accelerometers and gyros: units that programs write and counts of data sheets, with their
-frequencies in logs whose columns have no unit (scales.toml). Guesses at a unit or a scale choose from this table.
+frequencies in logs whose columns have no unit (guesses.toml). Guesses at a unit or a scale choose from this table.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ COUNTS_PER = {ACCEL: "g", GYRO: "deg/s"}
 COUNTS_PER_SI = {ACCEL: G_STANDARD, GYRO: DEGREE}
 """Unit of the input in a scale of counts, and its size in SI."""
 
-FREQUENCIES: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "scales.toml").read_text(encoding="utf-8"))
+PRIORS: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "guesses.toml").read_text(encoding="utf-8"))
 _LISTED_COUNTS_SHARES = 0.03, 0.75
 """Shares of logs in counts of data sheets; a common scale is three times as frequent as a rare one."""
 
@@ -63,7 +63,7 @@ UNLISTED_COUNTS = SensorScale(value=1.0, shares=(0.005, 0.05), listed=False)
 
 def _counts(kind: str, frequency: str) -> list[float]:
     """Return the counts per g or per °/s that are "common" or "rare"."""
-    table = FREQUENCIES["counts"][kind]
+    table = PRIORS["counts"][kind]
     return [*table[frequency], *(1e3 / milli for milli in table[f"{frequency}_milli"])]
 
 
@@ -75,7 +75,7 @@ def _candidates(kind: str, units: Mapping[str, Unit]) -> tuple[SensorScale, ...]
             shares=(fractions, whole),
             increment=units[name].kind == "increment",
         )
-        for name, (fractions, whole) in FREQUENCIES["units"][kind].items()
+        for name, (fractions, whole) in PRIORS["units"][kind].items()
     ]
     rates = [scale.value for scale in named if not scale.increment]
     weights = dict.fromkeys(_counts(kind, "common"), 3.0) | dict.fromkeys(_counts(kind, "rare"), 1.0)
