@@ -40,6 +40,7 @@ from tumble.recording.columns.names import (
     temperature_unit,
     unit_of_name,
 )
+from tumble.recording.columns.scales import PRIORS
 from tumble.recording.formats import MESSAGES, is_recording
 from tumble.recording.log import Log
 from tumble.recording.session import USUAL_RATE_U, AutopilotSensor, sensors_content
@@ -48,9 +49,6 @@ from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.run.observed import Progress
 from tumble.units import ACCEL_UNITS, GYRO_UNITS, TEMPERATURE_UNITS
 
-_FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": (15e-6, 150e-6)}
-"""Magnetic fields on Earth, with iron nearby."""
-_PLAUSIBLE_TEMPERATURES = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # median of a recording
 _PX4_COUNTERS = ("accel_calibration_count", "gyro_calibration_count")
 
 
@@ -282,9 +280,9 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     return draft
 
 
-def _unit_of_size(size: float, sizes: Mapping[str, tuple[float, float]]) -> str | None:
-    """Return the first unit in which a number is of a usual size."""
-    return next((unit for unit, (low, high) in sizes.items() if low <= size <= high), None)
+def _unit_of_size(kind: str, size: float) -> str | None:
+    """Return the first unit in which a reading is of a usual size."""
+    return next((unit for unit, (low, high) in PRIORS["sizes"][kind].items() if low <= size <= high), None)
 
 
 def _add_temperature(draft: Draft) -> None:
@@ -299,7 +297,7 @@ def _add_temperature(draft: Draft) -> None:
             draft.remarks += (f"temperature: {column} is left out, for it reads nothing or cannot be read",)
             return
         middle, named = float(np.median(readings)), temperature_unit(column)
-        units[column] = named or _unit_of_size(middle, _PLAUSIBLE_TEMPERATURES) or ""
+        units[column] = named or _unit_of_size("temperature", middle) or ""
         if units[column] not in TEMPERATURE_UNITS:
             draft.remarks += (
                 f"temperature: {column}, about {middle:.6g}, is left out, for it is in no unit that is known; to use "
@@ -317,7 +315,7 @@ def _add_temperature(draft: Draft) -> None:
 def _add_magnetometer(draft: Draft, sensors: Sensors) -> None:
     """Add the table [log.magnetometer] and a remark; the unit is that of the name, or fits the field on Earth."""
     field, named = draft.source.magnitude(sensors.columns), ", ".join(sensors.columns)
-    unit = sensors.unit or _unit_of_size(field, _FIELDS)
+    unit = sensors.unit or _unit_of_size(MAGNETOMETER, field)
     if field == 0.0:
         draft.remarks += (f"magnetometers: {named} are left out; they have no readings",)
     elif unit is None:

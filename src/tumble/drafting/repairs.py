@@ -18,6 +18,7 @@ from tumble.drafting.times import Stamps, grows_mostly, overflow_of, recordings_
 from tumble.errors import InputError
 from tumble.files import OutputFolder
 from tumble.recording.columns.names import ACCEL, MAGNETOMETER, NAMED, is_interval, time_unit
+from tumble.recording.columns.scales import PRIORS
 from tumble.recording.formats import TIME
 from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import GAP_STEP
@@ -241,8 +242,6 @@ def with_signs(columns: Array) -> Array:
 
 # -------------------- integers that stand for no reading --------------------
 
-_LIMITS = (-(2.0**15), 2.0**15 - 1.0, -(2.0**31), 2.0**31 - 1.0)
-"""Smallest and largest integers of 16 and 32 bits."""
 _UNLED = 2.0  # steps to a limit over the largest other step; at most 1.1 in turns of up to 80 times the range
 
 
@@ -251,7 +250,7 @@ def stand_for_none(columns: Array) -> BoolArray:
 
     These are limits of 16 or 32 bits to which the readings step, and from which they step back, at least twice as far
     as anywhere else: a sensor that is driven to its limit approaches it, as the motion does."""
-    at_limit, finite = np.isin(columns, _LIMITS), np.isfinite(columns)
+    at_limit, finite = np.isin(columns, PRIORS["numbers"]["limits"]), np.isfinite(columns)
     if not at_limit.any() or (columns[finite] != np.floor(columns[finite])).any():
         return np.zeros(columns.shape, dtype=bool)
     at, steps = np.asarray(at_limit.any(axis=1)), np.linalg.norm(np.diff(columns, axis=0), axis=1)

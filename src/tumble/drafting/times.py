@@ -187,9 +187,6 @@ def grows_mostly(values: Array) -> bool:
     return bool(steps[steps > 0.0].sum() > _LEAST_GROWTH and np.mean(steps < 0.0) <= _FALLING_SHARE)
 
 
-_OVERFLOWS = (1e3, 1e6, 3600.0, 65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
-"""Numbers at which counters overflow: the ms and µs of a second, an hour, 2^16, 2^24 and 2^32, in the stamps' unit, its
-thousands or millions."""
 _MOST_OVERFLOWS = 10_000
 _LOST_AT_RESTART = 50  # samples that may be lost where a counter overflows
 _MOST_RECORDINGS, _SHORTEST_RECORDING = 50, 50  # recordings in a log; rows
@@ -204,10 +201,10 @@ def overflow_of(values: Array) -> float | None:
     if not 0 < len(falls) <= _MOST_OVERFLOWS or not len(rising):
         return None
     usual = float(rising.mean())
-    for number in _OVERFLOWS:
+    for number in PRIORS["numbers"]["overflows"]:
         after = steps[falls] + number
         if float(np.ptp(values)) < number and ((after > 0.0) & (after < _LOST_AT_RESTART * usual)).all():
-            return number
+            return float(number)
     return None
 
 

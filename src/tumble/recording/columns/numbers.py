@@ -43,7 +43,7 @@ _LENGTH_IN_MOTION, _SPREAD_IN_MOTION = 0.12, 0.4
 _ONE_WAY_SHARE = 0.05
 """Half of the steps of a sensor fall; at most 1 of 20 does by chance once in 50,000 cases."""
 
-MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
+MIDDLES = tuple(PRIORS["numbers"]["middles"])
 """Zeros of converters without a sign."""
 
 Triple = tuple[int, int, int]

@@ -19,9 +19,6 @@ SCALE_TOLERANCE = 0.06
 """Standard deviation of ln(measured scale / nominal scale), by scale errors of small sensors and errors of few
 rests."""
 
-GYRO_RANGES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
-"""Full scales of gyros with 16 bits, °/s."""
-
 FASTEST = 4200.0 * DEGREE
 """rad/s, beyond the widest range of data sheets, 4000 °/s."""
 
@@ -95,7 +92,7 @@ CANDIDATES: Mapping[str, tuple[SensorScale, ...]] = {
 
 
 _STEPS = (
-    *(full / 32768.0 for full in GYRO_RANGES),
+    *(full / 32768.0 for full in PRIORS["numbers"]["gyro_ranges"]),
     *(round(1.0 / counts, 12) for counts in (*_counts(GYRO, "common"), *_counts(GYRO, "rare"))),
 )
 """Resolutions of data sheets, °/s per count."""
@@ -127,5 +124,5 @@ def resolution_in_deg_s(readings: Array) -> float | None:
             and chance > _CHANCE_LIMIT
             and all(np.mean(np.abs(count - count.round()) <= rounding / step) >= _MULTIPLES_SHARE for count in counts)
         ):
-            return step
+            return float(step)
     return None
