@@ -37,7 +37,7 @@ def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS, st
     rivals = [hypothesis for hypothesis in others if hypothesis.cost < best.cost + widths.near]
     log = {key: value for key, value in draft.log.items() if key not in _TIME_KEYS} | best.times.keys
     draft.content["log"] = log
-    draft.remarks += tuple(_time_remarks(draft, best))
+    draft.say(*_time_remarks(draft, best))
     if ACCEL in draft.triads:
         log[ACCEL] = _accel_table(draft, best, evidence)
     if best.gyro is not None:
@@ -203,7 +203,7 @@ def _accel_table(draft: Draft, best: Hypothesis, evidence: Evidence) -> dict[str
     columns, scale = list(draft.triads[ACCEL].columns), best.accel
     subject, unit, length = f"accelerometers: {', '.join(columns)}", draft.unit(ACCEL), evidence.length
     if unit is not None and ACCEL_UNITS[unit].kind != "raw":
-        draft.remarks += (f"{subject} in {unit} (from the name or the format), magnitude {length:.6g}",)
+        draft.say(f"{subject} in {unit} (from the name or the format), magnitude {length:.6g}")
         return {"columns": columns, "unit": unit}
     zero: Any = evidence.zero[0] if len(set(evidence.zero)) == 1 else evidence.zero
     if not evidence.rests:
@@ -214,7 +214,7 @@ def _accel_table(draft: Draft, best: Hypothesis, evidence: Evidence) -> dict[str
         how = f"from {evidence.rests} rests"
     at_zero = f", zero at {zero}" if zero or scale.unit is None else ""
     nominal = f"V: {length:.4g} V per g found" if unit == "V" else _scale_remark(ACCEL, scale, evidence, best)
-    draft.remarks += (f"{subject} in {nominal}{at_zero} ({how})",)
+    draft.say(f"{subject} in {nominal}{at_zero} ({how})")
     if scale.unit is not None and not zero:
         return {"columns": columns, "unit": scale.unit}
     raw = "V" if unit == "V" else "count"
@@ -229,7 +229,7 @@ def _gyro_table(
     subject, table = f"gyros: {', '.join(columns)} in", {"columns": columns, "unit": gyro.unit}
     bias = [float(f"{b:.6g}") for b in evidence.bias]
     if gyro.unit is not None and draft.unit(GYRO) == gyro.unit:
-        draft.remarks += (f"{subject} {gyro.unit} (from the name or the format)",)
+        draft.say(f"{subject} {gyro.unit} (from the name or the format)")
         return table
     scales = {h.gyro.value for h in rivals if h.gyro is not None and h.gyro.listed and h.gyro.unit is None}
     # turns at an unknown rate give the product of scale and rate
@@ -237,7 +237,7 @@ def _gyro_table(
     undecided = unsure and gyro.unit is None and bool(scales - {gyro.value})
     if best.profile is not None and not undecided:
         by = f"by {evidence.turns} turns" if evidence.turns > 1 else "by one turn"
-        draft.remarks += (f"{subject} {_scale_remark(GYRO, gyro, evidence, best)} ({by})",)
+        draft.say(f"{subject} {_scale_remark(GYRO, gyro, evidence, best)} ({by})")
         if gyro.unit is not None:
             return table
         offset = bias if np.abs(evidence.bias).max() > _LARGEST_BIAS * gyro.value else 0.0
@@ -247,11 +247,11 @@ def _gyro_table(
         turns = "only turn" if evidence.turns == 1 else "turns, each at another rate"
         reason = f"{fitting} per deg/s fit the {turns}" if undecided else "no turns show it"
         unknown = f"the offset is their reading at rest, the scale is unknown, for {reason}"
-        draft.remarks += (f"{subject} counts; {unknown}: put that of the data sheet there",)
+        draft.say(f"{subject} counts; {unknown}: put that of the data sheet there")
         return {"columns": columns, "unit": "count", "scale_per": "deg/s", "offset": bias}
-    draft.remarks += (f"{subject} {gyro.unit} (a guess)",)
+    draft.say(f"{subject} {gyro.unit} (a guess)")
     if evidence.rests:
         length = float(np.linalg.norm(evidence.bias))
         sizes = (f"{length * GYRO_UNITS[u].factor / DEGREE:.2g} °/s in {u}" for u in ("rad/s", "deg/s", "mdeg/s"))
-        draft.remarks += (f"gyros: no turn shows their unit; at rest they read {length:.3g}: {', '.join(sizes)}",)
+        draft.say(f"gyros: no turn shows their unit; at rest they read {length:.3g}: {', '.join(sizes)}")
     return table

@@ -318,6 +318,10 @@ class Draft:
         triads = self.source.columns.triads
         return {kind: triads[kind] for kind in (ACCEL, GYRO) if kind in triads}
 
+    def say(self, *remarks: str) -> None:
+        """Add remarks."""
+        self.remarks += remarks
+
     def unit(self, kind: str) -> str | None:
         """Return the unit in the column names of a kind of sensor."""
         return self.triads[kind].unit

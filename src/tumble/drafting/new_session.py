@@ -231,9 +231,7 @@ def drafted_log(
         # Apple, CMAccelerometerData and CMMotionManager, Core Motion
         counts = {"unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
         draft.log[ACCEL] = {"columns": accel["columns"], **counts}
-        draft.remarks += (
-            "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g",
-        )
+        draft.say("accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g")
     return draft, faults
 
 
@@ -254,7 +252,7 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
         if any(name in sensors.columns for sensors in columns.triads.values()) and not uncorrected:
             draft.doubts = (sentence, *draft.doubts)
     if rate is not None and columns.time is not None and not times.stamped:
-        draft.remarks += (f"time: column {columns.time!r} is not used, since the rate was given",)
+        draft.say(f"time: column {columns.time!r} is not used, since the rate was given")
         shown = [each.rate for each in log.stamped_times()]
         if shown and all(abs(each - rate) > USUAL_RATE_U * rate for each in shown):
             draft.doubts += (
@@ -262,7 +260,7 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
                 "second: the gyros' scale factors depend on it; leave --sample-rate out if the times are right",
             )
     if columns.others:
-        draft.remarks += (f"also there, and not used: {', '.join(columns.others)}",)
+        draft.say(f"also there, and not used: {', '.join(columns.others)}")
     first = next(iter(draft.triads.values())).columns
     if log.magnitude(first) == 0.0:
         rows = len(log.read(first, rows=HEAD_ROWS))
@@ -270,9 +268,7 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     for kind, sensors in draft.triads.items():
         table[kind] = {"columns": list(sensors.columns), "unit": "count", "scale": 1.0, "offset": 0.0}
     if GYRO not in draft.triads:
-        draft.remarks += (
-            "no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated",
-        )
+        draft.say("no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated")
     if columns.temperatures:
         _add_temperature(draft)
     if MAGNETOMETER in columns.triads:
@@ -294,21 +290,21 @@ def _add_temperature(draft: Draft) -> None:
     for column in draft.source.columns.temperatures:
         readings = draft.source.readings(column)
         if not len(readings):
-            draft.remarks += (f"temperature: {column} is left out, for it reads nothing or cannot be read",)
+            draft.say(f"temperature: {column} is left out, for it reads nothing or cannot be read")
             return
         middle, named = float(np.median(readings)), temperature_unit(column)
         units[column] = named or _unit_of_size("temperature", middle) or ""
         if units[column] not in TEMPERATURE_UNITS:
-            draft.remarks += (
+            draft.say(
                 f"temperature: {column}, about {middle:.6g}, is left out, for it is in no unit that is known; to use "
-                "it, convert it to °C",
+                "it, convert it to °C"
             )
             return
         remarks.append(f"{column} in {units[column]} ({'from the name' if named else 'by its numbers'})")
     unit = next(iter(units.values()))
     listed = [column for column in units if units[column] == unit]
     whose = ", accelerometers and gyros" if len(listed) > 1 else ""
-    draft.remarks += (f"temperature: {', '.join(remarks[: len(listed)])}{whose}",)
+    draft.say(f"temperature: {', '.join(remarks[: len(listed)])}{whose}")
     draft.log["temperature"] = {"columns": listed, "unit": unit}
 
 
@@ -317,11 +313,9 @@ def _add_magnetometer(draft: Draft, sensors: Sensors) -> None:
     field, named = draft.source.magnitude(sensors.columns), ", ".join(sensors.columns)
     unit = sensors.unit or _unit_of_size(MAGNETOMETER, field)
     if field == 0.0:
-        draft.remarks += (f"magnetometers: {named} are left out; they have no readings",)
+        draft.say(f"magnetometers: {named} are left out; they have no readings")
     elif unit is None:
-        draft.remarks += (f"magnetometers: {named} are left out; their magnitude of {field:.6g} is no field on Earth",)
+        draft.say(f"magnetometers: {named} are left out; their magnitude of {field:.6g} is no field on Earth")
     else:
         draft.magnetometer = {"columns": list(sensors.columns), "unit": unit}
-        draft.remarks += (
-            f"magnetometers: {named} in {unit}, as a comment in the file: take the # away to calibrate them too",
-        )
+        draft.say(f"magnetometers: {named} in {unit}, as a comment in the file: take the # away to calibrate them too")

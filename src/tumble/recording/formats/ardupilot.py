@@ -36,13 +36,6 @@ _PARAMETER = "PARM"
 _TIME = "TimeUS"
 _NAMED_INSIDE = 3  # INS_ACC3_ID, but INS4_ACC_ID
 _SECOND = 1e-6  # times are in µs
-_UNKNOWN = (
-    "ArduPilot has applied its own INS_ACCOFFS, INS_ACCSCAL, INS_GYROFFS and AHRS_ORIENTATION to these readings, which "
-    "the log does not state: an export is wrong unless they were 0 (scales 1) while recording"
-)
-_COMPENSATED = (
-    "ArduPilot has corrected these readings over temperature ({}): an export is wrong; set it to 0 and record again"
-)
 _TEMPERATURE = "temperature"
 _FIELDS = MESSAGES["ardupilot"]["messages"]
 _INSTANCES = {
@@ -103,7 +96,7 @@ def _message(kind: str, instance: int, rows: Any, origin: float, parameters: Map
     stems = {"accel": f"{prefix}_ACC{counted}", "gyro": f"{prefix}_GYR{counted}"}
     stems = {sensor: stem for sensor, stem in stems.items() if f"{sensor}_x" in _FIELDS[kind]}
     undone, tcal = _undo(rows, names, stems, parameters), f"INS_TCAL{number}_ENABLE"
-    doubt = _COMPENSATED.format(tcal) if parameters.get(tcal) else ""
+    doubt = MESSAGES["ardupilot"]["compensated"].format(tcal) if parameters.get(tcal) else ""
     ids = {sensor: parameters.get(f"{stem}_ID") for sensor, stem in stems.items()}
     return Message(
         name=f"{kind}.{instance}",
@@ -112,7 +105,7 @@ def _message(kind: str, instance: int, rows: Any, origin: float, parameters: Map
         temperatures=(_TEMPERATURE,) if warm else (),
         rows=lambda: iter([pl.DataFrame(rows[:, : len(names)], schema=names, orient="row")]),
         remark=f"ArduPilot's corrections are undone: {', '.join(undone)}" if undone else "",
-        doubt=_UNKNOWN if undone is None else doubt,
+        doubt=MESSAGES["ardupilot"]["unknown"] if undone is None else doubt,
         imu={sensor: AutopilotSensor(number=number, id=int(ids[sensor] or 0) or None) for sensor in stems},
     )
 
