@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -109,11 +109,11 @@ class SampleStream:
                 while b"\n" not in self._before:
                     self._before += source.read(READ_SECONDS)
             log = {key: value for key, value in SI_LOG.items() if key != "file" and (gyros or key != "gyro")}
-            columns = [log["time"], *log["accel"]["columns"], *(log["gyro"]["columns"] if gyros else [])]
             first_line = self._before.partition(b"\n")[0].decode("utf-8", errors="replace")
             if TEMPERATURE in [column.strip() for column in first_line.split(",")]:
                 log[TEMPERATURE] = {"columns": [TEMPERATURE], "unit": "degC"}
-                columns.append(TEMPERATURE)
+            tables = [log[key]["columns"] for key in ("accel", "gyro", TEMPERATURE) if key in log]
+            columns = [log["time"], *chain.from_iterable(tables)]
             place = dict[str, float]()
             if site is not None:
                 place = {"gravity": site.gravity, "gravity_u": site.gravity_u}
