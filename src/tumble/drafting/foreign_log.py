@@ -27,7 +27,7 @@ from tumble.recording.columns.names import (
     time_unit,
     unit_of_name,
 )
-from tumble.recording.columns.numbers import differ_in_axis_alone
+from tumble.recording.columns.numbers import differ_in_axis_alone, time_by_data
 from tumble.recording.columns.scales import CANDIDATES
 from tumble.recording.log_source import LogSource
 from tumble.recording.readers import source_of
@@ -88,6 +88,20 @@ class ForeignLog:
     def names(self) -> tuple[str, ...]:
         """Names of the columns of the first file."""
         return next(self.sources()).names
+
+    @property
+    def numeric(self) -> list[str]:
+        """Names of the columns of numbers."""
+        if not self.cells:
+            schema = pl.scan_parquet(self.files[0], glob=False).collect_schema()
+            return [name for name, kind in schema.items() if kind.is_numeric()]
+        is_number = (self.dialect or Dialect()).is_number
+        return [name for name, cells in self.cells.items() if sum(map(is_number, cells)) > len(cells) // 2]
+
+    def time_by_data(self) -> str | None:
+        """Return a column of numbers that grows like a time, by its name no counter and no sensor; None without."""
+        names = [n for n in self.numeric if n not in self.columns.sensors and not NAMED["counter"].fullmatch(n)]
+        return time_by_data(names, self.read(names, rows=LONGEST // 10)) if names else None
 
     @property
     def unnamed(self) -> bool:
@@ -250,7 +264,7 @@ class ForeignLog:
             raise linear_acceleration(self.files[0], linear)
         if ACCEL in triads or (gyros_suffice and GYRO in triads):
             return
-        sensors = [column for triad in triads.values() for column in triad.columns]
+        sensors = list(self.columns.sensors)
         known = {self.columns.time, *self.columns.temperatures, *sensors}
         unknown = [name for name in names if name not in known and not is_no_sensor(name)]
         others = [name for name in names if not is_no_sensor(name)]

@@ -249,7 +249,7 @@ def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
     for name, sentence in MESSAGES["corrected"].items():
         counters = [c for c in _PX4_COUNTERS if c in log.names]  # of calibrations; 0 without any
         uncorrected = len(counters) == len(_PX4_COUNTERS) and not log.read(counters).any()
-        if any(name in sensors.columns for sensors in columns.triads.values()) and not uncorrected:
+        if name in columns.sensors and not uncorrected:
             draft.doubts = (sentence, *draft.doubts)
     if rate is not None and columns.time is not None and not times.stamped:
         draft.say(f"time: column {columns.time!r} is not used, since the rate was given")

@@ -87,8 +87,7 @@ def _copy(
     """Return the log of a repaired copy, one file for each file or for each range of rows in `parts`.
 
     With `in_seconds` the repairs have replaced the time by a column TIME. `why` is the remark on the parts."""
-    triads = log.columns.triads
-    columns = (*time, *(c for triad in triads.values() for c in triad.columns), *log.columns.temperatures)
+    columns = (*time, *log.columns.sensors, *log.columns.temperatures)
     stamp, files = [TIME] if in_seconds else time, list[Path]()
     for number, source in enumerate(log.sources(), 1):
         rows = pl.concat(table for table, _ in source.tables(list(dict.fromkeys(columns)), log.clock))
@@ -139,7 +138,7 @@ def _copied_rows(log: ForeignLog, time: list[str]) -> list[Repair]:
     read."""
     if len(log.files) > 1:
         return []
-    columns = [*time, *(column for triad in log.columns.triads.values() for column in triad.columns)]
+    columns = [*time, *log.columns.sensors]
     rows = pl.DataFrame(log.read(columns), schema=columns, orient="row")
     repeated = _BLANK_SHARE * rows.height
     stamps = rows.select(time).n_unique() if time else rows.height

@@ -85,12 +85,12 @@ _WINDOWS, _FILLED_SHARE = 20, 0.9
 """Windows of a recording, and the least share of them in which a device has half its usual rows or more."""
 
 
-def of_one_group(log: ForeignLog, numeric: Sequence[str], name: str | None) -> ForeignLog:
+def of_one_group(log: ForeignLog, name: str | None) -> ForeignLog:
     """Return the log with one of several groups of sensors that the names of its columns tell apart.
 
-    `numeric` are the columns of numbers; `name` is that of a group, by default that of the first accelerometers."""
+    `name` is that of a group, by default that of the first accelerometers."""
     named = log.columns
-    roles = [column for column in log.names if column in (*numeric, *named.times)]
+    roles = [column for column in log.names if column in (*log.numeric, *named.times)]
     groups = groups_by_name(roles)
     if not groups or (name not in (None, *groups) and any(map(NAMED["device"].fullmatch, log.names))):
         return log
@@ -114,15 +114,15 @@ def _with_choice(log: ForeignLog, several: str, names: Sequence[str], taken: str
     return replace(log, remarks=(*log.remarks, remark))
 
 
-def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> ForeignLog:
+def of_one_device(log: ForeignLog, name: str | None) -> ForeignLog:
     """Return the log with the rows of one device if a column of few whole numbers separates several.
 
-    `numeric` are the columns of numbers; `name` is that of a device, by default the first. Each device has rows all the
-    time, other than the values of a label or a state. A column without a name that says so separates devices only if
+    `name` is that of a device, by default the first. Each device has rows all the time, other than the values of a
+    label or a state. A column without a name that says so separates devices only if
     their stamps are even by themselves, and not together."""
     named = log.columns
-    taken = {named.time, *named.times, *named.temperatures, *(c for s in named.triads.values() for c in s.columns)}
-    free = [column for column in numeric if column not in taken]
+    taken = {named.time, *named.times, *named.temperatures, *named.sensors}
+    free = [column for column in log.numeric if column not in taken]
     for column in sorted(free, key=lambda column: not NAMED["device"].fullmatch(column)):
         cells = log.cells.get(column) or log.readings(column)[:SAMPLE_ROWS].tolist()
         is_named, changes = NAMED["device"].fullmatch(column) is not None, sum(a != b for a, b in pairwise(cells))

@@ -177,6 +177,11 @@ class Columns:
     ambiguous: bool = False
     turning: bool = False
 
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Columns of all triads."""
+        return tuple(column for triad in self.triads.values() for column in triad.columns)
+
 
 def columns_by_name(names: Iterable[str], *, suffixed: bool = False) -> Columns:
     """Identify the columns of a table by their names.

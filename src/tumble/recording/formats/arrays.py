@@ -107,8 +107,7 @@ def _with_columns_by_data(columns: Mapping[str, Array], named: Columns) -> tuple
     """Identify columns by their numbers if no name identifies accelerometers, and return a remark.
 
     Triads identified by name are kept."""
-    taken = {column for triad in named.triads.values() for column in triad.columns}
-    free = {name: column for name, column in columns.items() if name not in taken}
+    free = {name: column for name, column in columns.items() if name not in named.sensors}
     together = {name: column for name, column in free.items() if name.endswith("]")} or free
     if not 0 < len(together) <= _WIDEST:
         return named, ""
