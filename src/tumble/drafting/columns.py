@@ -5,17 +5,15 @@ Names and units are trusted; numbers only decide which columns without meaningfu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
 from tumble.drafting.containers import BINARY_ENDINGS, NoLogError, check_format
 from tumble.drafting.dialects import copy_as_tables
-from tumble.drafting.foreign_log import HEAD_ROWS, SAMPLE_ROWS, ForeignLog, StatedColumns
+from tumble.drafting.foreign_log import HEAD_ROWS, NOTHING_GIVEN, SAMPLE_ROWS, ForeignLog, Given
 from tumble.drafting.repairs import nanoseconds_column, with_signs
 from tumble.drafting.sensors_apart import are_sensors_apart, join_sensors, of_one_device, of_one_group
 from tumble.drafting.times import grows_mostly, times_of_column
@@ -39,22 +37,14 @@ from tumble.recording.text.pieces import opened
 
 _GROWING_SHARE = 0.9  # of the steps of stamps, if these are the times of rows
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
-_NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
-def identify_log(
-    files: Sequence[Path],
-    folder: OutputFolder,
-    stated: StatedColumns = _NOTHING,
-    units: Mapping[str, str] = _NOTHING,
-    instance: str | None = None,
-) -> ForeignLog:
+def identify_log(files: Sequence[Path], folder: OutputFolder, given: Given = NOTHING_GIVEN) -> ForeignLog:
     """Return one log of text and Parquet files, with its columns identified.
 
-    `stated` and `units` are the user's statements by role and by kind of sensor; `instance` names one of several
-    devices in a table, by default the first. Files in one dialect whose columns have no meaningful names are identified
-    together, because one position is not enough to recognise sensors. Raises InputError for files that are no logs, or
-    are in different dialects."""
+    Statements of the user take precedence; a message names one of several devices in a table, by default the first.
+    Files in one dialect whose columns have no meaningful names are identified together, because one position is not
+    enough to recognise sensors. Raises InputError for files that are no logs, or are in different dialects."""
     logs: list[ForeignLog] = []
     errors: list[NoLogError] = []
     omitted: tuple[str, ...] = ()
@@ -62,14 +52,14 @@ def identify_log(
     for file in files:
         try:
             read = _logs_in(file, folder)
-            read = read if ACCEL in stated else [of_one_group(log, instance) for log in read]
-            logs += [log.with_stated(stated, units) for log in read]
+            read = read if given.accel else [of_one_group(log, given.message) for log in read]
+            logs += [log.with_stated(given) for log in read]
         except NoLogError as error:
             errors.append(error)
             omitted += (f"{file.name} has no rows of readings and is left out",)
     if not logs:
         raise errors[0]
-    logs = [of_one_device(log, instance) for log in logs]
+    logs = [of_one_device(log, given.message) for log in logs]
     logs = [_without_empty_thermometers(_with_finest_time(log)) for log in logs]
     parts = _parts_with_own_times(logs[0]) if len(logs) == 1 else []
     if parts or are_sensors_apart(logs):

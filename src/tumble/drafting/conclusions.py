@@ -4,13 +4,13 @@ about hypotheses that are nearly as likely."""
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from tumble.diagnosis.channels import like_gravity
-from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_text
+from tumble.diagnosis.turn_likelihood import columns_text
 from tumble.drafting.foreign_log import Draft, linear_acceleration
 from tumble.drafting.hypotheses import Evidence, Hypothesis, gather_evidence, ranked_hypotheses
 from tumble.errors import InputError, TumbleError
@@ -27,14 +27,11 @@ _MOST_RIVALS = 3  # listed in a doubt, the likeliest
 _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
 
-def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS, stated: Container[str] = ()) -> list[str]:
-    """Add units, scales and times to a draft whose sensors are raw numbers, and return the faults of its recording.
-
-    `widths` are the standard deviations of the cost of hypotheses, `stated` the kinds of sensors whose columns the user
-    stated."""
-    evidence = gather_evidence(draft, progress, widths)
-    best, *others = ranked_hypotheses(evidence, draft, widths)
-    rivals = [hypothesis for hypothesis in others if hypothesis.cost < best.cost + widths.near]
+def complete_draft(draft: Draft, progress: Progress) -> list[str]:
+    """Add units, scales and times to a draft whose sensors are raw numbers, and return the faults of its recording."""
+    evidence = gather_evidence(draft, progress)
+    best, *others = ranked_hypotheses(evidence, draft)
+    rivals = [hypothesis for hypothesis in others if hypothesis.cost < best.cost + draft.widths.near]
     log = {key: value for key, value in draft.log.items() if key not in _TIME_KEYS} | best.times.keys
     draft.content["log"] = log
     draft.say(*_time_remarks(draft, best))
@@ -46,7 +43,7 @@ def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS, st
             rate_u = max((abs(math.log(rate / best.times.rate)) for rate in rates), default=0.0)
             log |= {"clock_ppm_u": round(1e6 * min(rate_u, 1.0))} if rate_u > USUAL_RATE_U else {}
         log[GYRO] = _gyro_table(draft, best, best.gyro, evidence, rivals)
-    of_gravity = _doubts_of_gravity(draft, best, evidence, stated)
+    of_gravity = _doubts_of_gravity(draft, best, evidence)
     of_units = list(_doubts_of_units(draft, best, rivals))
     of_log = (*of_gravity, *(doubt for kind, doubt in of_units if not kind), *draft.doubts)
     log |= {"doubt": "; ".join(of_log)} if of_log else {}
@@ -73,11 +70,11 @@ def complete_draft(draft: Draft, progress: Progress, widths: Widths = WIDTHS, st
     return faults
 
 
-def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence, stated: Container[str]) -> Iterator[str]:
+def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> Iterator[str]:
     """Yield doubts about accelerometers that do not read gravity in a unit.
 
     Raises InputError if such accelerometers are named as linear acceleration, or if the gyros read gravity and the
-    columns are not `stated` by the user."""
+    columns are not stated by the user."""
     if ACCEL not in draft.triads:
         return
     unit, columns = draft.unit(ACCEL), draft.triads[ACCEL].columns
@@ -91,7 +88,7 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence, state
     ):
         if NAMED["without_gravity"].search(columns[0]):
             raise linear_acceleration(draft.files[0], columns)
-        by_names = GYRO in draft.triads and ACCEL not in stated and GYRO not in stated
+        by_names = GYRO in draft.triads and not (draft.given.accel or draft.given.gyro)
         if by_names and evidence.rests >= _FEWEST_FOR_GRAVITY and like_gravity(evidence.gyro):
             gyros = draft.triads[GYRO].columns
             raise InputError(

@@ -1,4 +1,5 @@
-"""A log of unknown origin, with its files, their dialect and its columns by kind, and the draft of a session for it."""
+"""A log of unknown origin, with its files, their dialect and its columns by kind, statements of the user about it, and
+the draft of a session for it."""
 
 from __future__ import annotations
 
@@ -13,8 +14,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from tumble.diagnosis.turn_likelihood import WIDTHS, Widths
 from tumble.drafting.times import Stamps, Times, times_of_column, times_without_column
 from tumble.errors import GyrosAloneError, InputError, LogError, did_you_mean
+from tumble.programme.positions import programmes
 from tumble.recording.columns.names import (
     ACCEL,
     GYRO,
@@ -38,7 +41,7 @@ from tumble.recording.session_file import session_of, session_of_gyros
 from tumble.recording.text.clock import is_clock
 from tumble.recording.text.dialect import Dialect
 from tumble.reduction.blocks.tuning import USUAL
-from tumble.units import Array
+from tumble.units import ACCEL_UNITS, GYRO_UNITS, Array
 
 LONGEST = 2_000_000  # rows that are read to identify a log
 HEAD_ROWS = 20_000
@@ -49,8 +52,62 @@ _GRAVITY_TOLERANCE = 0.1  # of gravity
 _FEWEST_ROWS = 50
 _SHORTEST_SESSION = 4 * USUAL.rest  # s, the time of four rests; fewer determine nothing
 
-StatedColumns = Mapping[str, Sequence[str]]
-"""Columns by role: three for "accel" and for "gyro", one for "time"."""
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Given:
+    """Statements of the user about a log.
+
+    `latitude` is in °, `height` in m, `sample_rate` in Hz; `message` names a message of a recording; columns are names
+    or numbers from 1. Raises InputError for numbers and programmes that cannot be."""
+
+    serial: str | None = None
+    latitude: float | None = None
+    height: float | None = None
+    sample_rate: float | None = None
+    programme: str | None = None
+    message: str | None = None
+    accel: Sequence[str] = ()
+    gyro: Sequence[str] = ()
+    time: str | None = None
+    accel_unit: str | None = None
+    gyro_unit: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.programme is not None and self.programme not in programmes():
+            raise InputError(f"--programme: expected one of {', '.join(programmes())}, found {self.programme!r}")
+        for option, number, least, most, words in (
+            ("latitude", self.latitude, -90.0, 90.0, "from -90 to 90"),
+            ("height", self.height, -1000.0, 10000.0, "from -1000 to 10000, m"),
+            ("sample-rate", self.sample_rate, 1e-6, 1e9, "from 1e-6 to 1e9 (Hz)"),
+        ):
+            if number is not None and not least <= number <= most:
+                raise InputError(f"--{option}: expected a number {words}, found {number:g}")
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Stated units by kind of sensor. Raises InputError for units that session.toml lacks."""
+        out = {}
+        for kind, unit, units in ((ACCEL, self.accel_unit, ACCEL_UNITS), (GYRO, self.gyro_unit, GYRO_UNITS)):
+            if unit is not None:
+                out[kind] = unit if unit in units else unit_of_name(kind, f"x [{unit}]") or ""
+                if not out[kind]:
+                    hint = did_you_mean(unit, units)
+                    raise InputError(f"--{kind}-unit: expected one of {', '.join(units)}, found {unit!r}{hint}")
+        return out
+
+    @property
+    def columns(self) -> dict[str, Sequence[str]]:
+        """Stated columns by role."""
+        stated = {ACCEL: self.accel, GYRO: self.gyro, TIME_KIND: () if self.time is None else (self.time,)}
+        return {kind: columns for kind, columns in stated.items() if columns}
+
+    @property
+    def options(self) -> list[str]:
+        """Options by which columns and units are stated."""
+        return [f"--{option}" for option in (*self.columns, *(f"{kind}-unit" for kind in self.units))]
+
+
+NOTHING_GIVEN = Given()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -207,10 +264,11 @@ class ForeignLog:
             return []
         return [each for each in (times, *times.rivals) if each.stamped]
 
-    def with_stated(self, stated: StatedColumns, units: Mapping[str, str]) -> ForeignLog:
+    def with_stated(self, given: Given) -> ForeignLog:
         """Assign sensors and time as the user states them, by column name or number from 1, and their units.
 
         A stated column loses any other role. Raises InputError for a column that does not exist."""
+        stated = given.columns
         columns = {kind: tuple(self._column(kind, c.strip()) for c in listed) for kind, listed in stated.items()}
         taken = [c for listed in columns.values() for c in listed]
         for kind, listed in columns.items():
@@ -223,7 +281,7 @@ class ForeignLog:
         for kind in columns.keys() - {TIME_KIND}:
             x, y, z = columns[kind]
             triads[kind] = Sensors(columns=(x, y, z), unit=unit_of_name(kind, x))
-        triads |= {kind: replace(triads[kind], unit=unit) for kind, unit in units.items() if kind in triads}
+        triads |= {kind: replace(triads[kind], unit=unit) for kind, unit in given.units.items() if kind in triads}
         if not taken:
             return self.with_columns(triads=triads)
         time = columns.get(TIME_KIND, (None if named.time in taken else named.time,))[0]
@@ -293,8 +351,9 @@ class ForeignLog:
 class Draft:
     """The content of a session.toml as far as it is known, with remarks on how each part was found.
 
-    `doubts` are uncertainties, each with its consequence and the option that settles it. `source` is the log, `times`
-    those of its rows. `magnetometer` is the table [log.magnetometer], written as a comment because nearby iron disturbs
+    `doubts` are uncertainties, each with its consequence and the option that settles it. `source` is the log, `given`
+    what the user states about it, `times` are those of its rows. `widths` are the standard deviations of the cost of
+    hypotheses. `magnetometer` is the table [log.magnetometer], written as a comment because nearby iron disturbs
     its readings."""
 
     source: ForeignLog
@@ -303,6 +362,8 @@ class Draft:
     remarks: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     magnetometer: dict[str, Any] | None = None
+    given: Given = NOTHING_GIVEN
+    widths: Widths = WIDTHS
 
     @property
     def log(self) -> dict[str, Any]:

@@ -135,7 +135,7 @@ class Evidence:
         return min((p.least for p in self.profiles), default=0.0) < 0.5 * least_cost(self.turns, vertical)
 
 
-def gather_evidence(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Evidence:
+def gather_evidence(draft: Draft, progress: Progress) -> Evidence:
     """Return the evidence of a draft's log.
 
     If the rate is unclear, rows are counted instead of times, and rests are sought with windows for several rates. The
@@ -167,11 +167,11 @@ def gather_evidence(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -
         middle = np.median(means, axis=0)
         scatter = 1.4826 * float(np.median(np.abs(means - middle))) * math.sqrt(reduction.files[0].size)
         return replace(unread, length=1.0, gyro=middle[None], gyro_scatter=scatter)
-    trials = [_evidence_at(reduction, factor, unread, widths) for factor in factors]
+    trials = [_evidence_at(reduction, factor, unread, draft.widths) for factor in factors]
     best = max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
-    if best.rests >= FEWEST_RESTS or best.is_good(widths.vertical):
+    if best.rests >= FEWEST_RESTS or best.is_good(draft.widths.vertical):
         return best
-    moving = _evidence_in_motion(reduction, best, widths)
+    moving = _evidence_in_motion(reduction, best, draft.widths)
     return moving if moving.turns >= FEWEST_RESTS and moving.is_good(_VERTICAL_IN_MOTION) else best
 
 
@@ -314,8 +314,9 @@ class Hypothesis:
         return {part for part, different in parts.items() if different}
 
 
-def ranked_hypotheses(evidence: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothesis]:
+def ranked_hypotheses(evidence: Evidence, draft: Draft) -> list[Hypothesis]:
     """Return all hypotheses about a log in the order of their cost."""
+    widths = draft.widths
     deviation = math.hypot(widths.scale, evidence.length_u)
     has_accel = ACCEL in draft.triads
     accels = list(_assumed_scales(ACCEL, draft, evidence, deviation)) or [(COUNTS, 0.0)]
@@ -329,7 +330,7 @@ def ranked_hypotheses(evidence: Evidence, draft: Draft, widths: Widths = WIDTHS)
     unit_stated = has_accel and ACCEL_UNITS[draft.unit(ACCEL) or "count"].kind != "raw"
     hypotheses = []
     for profile in evidence.profiles or (None,):
-        for times, gyro, gyro_cost in _gyro_trials(draft, evidence, gyros, profile, widths):
+        for times, gyro, gyro_cost in _gyro_trials(draft, evidence, gyros, profile):
             short_rests = math.log(max(SHORTEST_REST * times.rate / evidence.samples, 1.0)) / _PRIOR.excess
             accel_trials = []
             for accel, assumption in accels:
@@ -356,13 +357,12 @@ def _gyro_trials(
     evidence: Evidence,
     gyros: list[tuple[SensorScale, float]],
     profile: TurnLikelihood | None,
-    widths: Widths,
 ) -> Iterator[tuple[Times, SensorScale | None, float]]:
     """Yield times and gyro scales with the cost of turns, readings and assumptions.
 
     If the rate is unknown, the rate at which the turns fit a unit best is also tried; and with time stamps, that a unit
     in a name is wrong: its name stays, and the calibration refuses it with the unit that fits."""
-    assumed_times = (draft.times, *draft.times.rivals)
+    widths, assumed_times = draft.widths, (draft.times, *draft.times.rivals)
     nominal = None if profile is None else profile.of_nominal(widths.scale)
     if not gyros:
         yield from ((times, None, 0.0) for times in assumed_times)

@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,20 +24,19 @@ from tumble.drafting.columns import identify_log
 from tumble.drafting.conclusions import complete_draft
 from tumble.drafting.containers import check_format, files_of, unzipped
 from tumble.drafting.foreign_log import HEAD_ROWS, Draft, ForeignLog
+from tumble.drafting.foreign_log import NOTHING_GIVEN as NOTHING_GIVEN
+from tumble.drafting.foreign_log import Given as Given
 from tumble.drafting.repairs import repair_log
 from tumble.drafting.sensors_apart import log_of_recording
-from tumble.errors import InputError, LogError, did_you_mean
+from tumble.errors import InputError, LogError
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
-from tumble.programme.positions import programmes
 from tumble.recording.columns.names import (
     ACCEL,
     GYRO,
     MAGNETOMETER,
     NAMED,
-    TIME_KIND,
     Sensors,
     temperature_unit,
-    unit_of_name,
 )
 from tumble.recording.columns.scales import PRIORS
 from tumble.recording.formats import MESSAGES, is_recording
@@ -47,61 +45,9 @@ from tumble.recording.session import USUAL_RATE_U, AutopilotSensor, sensors_cont
 from tumble.recording.session_file import SESSION_FILE
 from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.run.observed import Progress
-from tumble.units import ACCEL_UNITS, GYRO_UNITS, TEMPERATURE_UNITS
+from tumble.units import TEMPERATURE_UNITS
 
 _PX4_COUNTERS = ("accel_calibration_count", "gyro_calibration_count")
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Given:
-    """Statements of the user about a log.
-
-    `latitude` is in °, `height` in m, `sample_rate` in Hz; `message` names a message of a recording; columns are names
-    or numbers from 1. Raises InputError for numbers and programmes that cannot be."""
-
-    serial: str | None = None
-    latitude: float | None = None
-    height: float | None = None
-    sample_rate: float | None = None
-    programme: str | None = None
-    message: str | None = None
-    accel: Sequence[str] = ()
-    gyro: Sequence[str] = ()
-    time: str | None = None
-    accel_unit: str | None = None
-    gyro_unit: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.programme is not None and self.programme not in programmes():
-            raise InputError(f"--programme: expected one of {', '.join(programmes())}, found {self.programme!r}")
-        for option, number, least, most, words in (
-            ("latitude", self.latitude, -90.0, 90.0, "from -90 to 90"),
-            ("height", self.height, -1000.0, 10000.0, "from -1000 to 10000, m"),
-            ("sample-rate", self.sample_rate, 1e-6, 1e9, "from 1e-6 to 1e9 (Hz)"),
-        ):
-            if number is not None and not least <= number <= most:
-                raise InputError(f"--{option}: expected a number {words}, found {number:g}")
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Stated units by kind of sensor. Raises InputError for units that session.toml lacks."""
-        out = {}
-        for kind, unit, units in ((ACCEL, self.accel_unit, ACCEL_UNITS), (GYRO, self.gyro_unit, GYRO_UNITS)):
-            if unit is not None:
-                out[kind] = unit if unit in units else unit_of_name(kind, f"x [{unit}]") or ""
-                if not out[kind]:
-                    hint = did_you_mean(unit, units)
-                    raise InputError(f"--{kind}-unit: expected one of {', '.join(units)}, found {unit!r}{hint}")
-        return out
-
-    @property
-    def columns(self) -> dict[str, Sequence[str]]:
-        """Stated columns by role."""
-        stated = {ACCEL: self.accel, GYRO: self.gyro, TIME_KIND: () if self.time is None else (self.time,)}
-        return {kind: columns for kind, columns in stated.items() if columns}
-
-
-NOTHING_GIVEN = Given()
 
 
 @checked
@@ -206,25 +152,24 @@ def drafted_log(
     for file in filter(Path.is_file, recordings):
         check_format(file, recording=True)
     if not recordings:
-        log = identify_log(files, folder, given.columns, given.units, given.message)
+        log = identify_log(files, folder, given)
         log.check_has_sensors(gyros_suffice=gyros_suffice)
-    elif given.columns or given.units:
-        options = [*given.columns, *(f"{kind}-unit" for kind in given.units)]
+    elif given.options:
         raise InputError(
-            f"--{', --'.join(options)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
+            f"{', '.join(given.options)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
             "messages name their sensors; --message selects one"
         )
     elif len(recordings) < len(files):
         raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
     else:
         log, imu = log_of_recording(recordings, folder, given.message)
-    draft = _draft_of_raw_numbers(repair_log(log, folder, given.sample_rate), given.sample_rate)
+    draft = _draft_of_raw_numbers(repair_log(log, folder, given.sample_rate), given, widths)
     serial = given.serial or folder.path.resolve().name or "unknown"
     draft.content["device"] = {"serial": serial} | ({"imu": sensors_content(imu)} if imu else {})
     place = {"latitude_deg": given.latitude, "height_m": given.height}
     draft.content["site"] = {key: value for key, value in place.items() if value is not None}
     draft.session()  # checks the content
-    faults = complete_draft(draft, progress, widths, given.columns)
+    faults = complete_draft(draft, progress)
     accel = draft.log.get(ACCEL, {"unit": None})
     if accel["unit"] == "g" and all(map(NAMED["core_motion"].fullmatch, accel["columns"])):
         # a recording cannot determine the sign, because gyros predict both directions of the vertical alike; source:
@@ -238,14 +183,17 @@ def drafted_log(
 # -------------------- names and first numbers --------------------
 
 
-def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
+def _draft_of_raw_numbers(log: ForeignLog, given: Given, widths: Widths) -> Draft:
     """Return a draft from names and first numbers, with sensors as raw numbers."""
-    columns, times = log.columns, log.times(rate)
+    columns, rate = log.columns, given.sample_rate
+    times = log.times(rate)
     files = [str(file.resolve()) for file in log.files]
     table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files}
     table |= ({} if log.dialect is None else log.dialect.keys()) | times.keys
     content = {"format": 1, "device": {"serial": "unknown"}, "log": table}
-    draft = Draft(source=log, times=times, content=content, remarks=log.remarks, doubts=log.doubts)
+    draft = Draft(
+        source=log, given=given, widths=widths, times=times, content=content, remarks=log.remarks, doubts=log.doubts
+    )
     for name, sentence in MESSAGES["corrected"].items():
         counters = [c for c in _PX4_COUNTERS if c in log.names]  # of calibrations; 0 without any
         uncorrected = len(counters) == len(_PX4_COUNTERS) and not log.read(counters).any()
