@@ -23,7 +23,7 @@ from tumble.errors import LogError, TumbleError, did_you_mean
 from tumble.recording.log_source import LogSource, readable
 from tumble.recording.readers import TableLog, source_of
 from tumble.recording.rows.gaps import Bridge, Gap, Grid, seconds_of_stamps
-from tumble.recording.rows.timed import burst_grid, check_head, regular_grid, rounded_grid, rows_of
+from tumble.recording.rows.timed import TimedRows, burst_grid, check_head, regular_grid, rounded_grid
 from tumble.recording.session import LogSpec, Session
 from tumble.units import ZERO_CELSIUS, Array
 
@@ -133,10 +133,10 @@ class Log(Brief):
 def samples_of_file(source: LogSource, spec: LogSpec, file: int, grid: Grid, gaps: list[Gap]) -> Iterator[Chunk]:
     """Yield the samples of one file from its reader in SI, with gaps bridged or left out and added to `gaps`."""
     bridge = Bridge(source=source, file=file, spec=spec, interval=grid.interval, gaps=gaps)
-    rows = rows_of(source, spec, file, grid, gaps, on_grid=spec.unstamped or grid.rounded or grid.jitter > 0.0)
+    timed = TimedRows(source=source, spec=spec, file=file, grid=grid, gaps=gaps)
     parts = [spec.accel, spec.gyro, spec.magnetometer, spec.temperature]
     ends = np.cumsum([0 if part is None else len(part.columns) for part in parts])
-    for time, dt_of_log, values in bridge.samples(rows):
+    for time, dt_of_log, values in bridge.samples(timed.rows()):
         dt = dt_of_log if spec.clock_rate == 1.0 else spec.clock_rate * dt_of_log
         accel, gyro, magnetometer, temperature, _ = np.split(values, ends, axis=1)
         yield Chunk(

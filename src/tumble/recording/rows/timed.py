@@ -96,29 +96,9 @@ def _is_late(time: Array, before: float) -> BoolArray:
     return np.asarray(time <= np.maximum.accumulate(np.concatenate([[before], time]))[: len(time)])
 
 
-def rows_of(
-    source: LogSource, spec: LogSpec, file: int, grid: Grid, gaps: list[Gap], *, on_grid: bool
-) -> Iterator[tuple[Array, Sequence[Unread]]]:
-    """Yield the rows of a file that have a time, table by table, with their unreadable parts.
-
-    What is left out is added to `gaps`. With `on_grid` row k has time k of the `grid` of equally spaced times, or the
-    one nearest to its stamp, in place of the stamp."""
-    timed = _TimedRows(source=source, spec=spec, file=file, grid=grid, on_grid=on_grid, gaps=gaps)
-    first = 1
-    for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):
-        rows = side_by_side(table, spec.readings, before=2)
-        rows[:, NUMBER] = np.arange(first, first + table.height)
-        rows[:, TIME] = 0.0 if spec.time is None else seconds_of_stamps(table[spec.time].to_numpy(), spec)
-        yield timed.feed(rows, unread), unread
-        first += table.height
-    if timed.pending is not None:
-        yield timed.in_order(timed.pending, last=True), ()
-    timed.finish(first - 1)
-
-
 @dataclass(kw_only=True, slots=True)
-class _TimedRows:
-    """State of a stream of rows from which rows without a time of their own are left out.
+class TimedRows:
+    """The rows of a file that have a time of their own; what is left out is added to `gaps`.
 
     `count` rows were passed on, the last of them at the time `last`, s; `midnights` is added to times of day, s. The
     next table decides whether the `pending` rows leap or fall back. `falls` has, for each run of rows that fall back,
@@ -129,7 +109,6 @@ class _TimedRows:
     spec: LogSpec
     file: int
     grid: Grid
-    on_grid: bool
     gaps: list[Gap]
     count: int = 0
     last: float = -math.inf
@@ -141,9 +120,22 @@ class _TimedRows:
     repeated: int = 0
     first: Gap | None = None
 
+    def rows(self) -> Iterator[tuple[Array, Sequence[Unread]]]:
+        """Yield the rows in order, table by table, with their unreadable parts."""
+        spec, first = self.spec, 1
+        for table, unread in self.source.tables(spec.columns, spec.time if spec.clock else None):
+            rows = side_by_side(table, spec.readings, before=2)
+            rows[:, NUMBER] = np.arange(first, first + table.height)
+            rows[:, TIME] = 0.0 if spec.time is None else seconds_of_stamps(table[spec.time].to_numpy(), spec)
+            yield self.feed(rows, unread), unread
+            first += table.height
+        if self.pending is not None:
+            yield self.in_order(self.pending, last=True), ()
+        self.finish(first - 1)
+
     def feed(self, rows: Array, unread: Sequence[Unread]) -> Array:
         """Add the rows of the next table, and return those, with pending ones, that have a time of their own."""
-        counted = self.on_grid and not self.grid.rounded  # stamps are ignored
+        counted = self.spec.unstamped or self.grid.jitter > 0.0  # row k has time k of the grid, whatever its stamp
         untimed = (None, self.spec.time) if not counted else ()
         faults = [u for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT) or u.column in untimed]
         if not counted and not (timed := is_reading(rows[:, TIME])).all():
@@ -182,7 +174,7 @@ class _TimedRows:
             passed = np.cumsum(np.diff(time, prepend=self.last if np.isfinite(self.last) else time[0]) < -_HALF_DAY)
             self.midnights += 2.0 * _HALF_DAY * float(passed[-1])
             time += 2.0 * _HALF_DAY * passed
-        if self.on_grid:
+        if self.grid.rounded:
             time[:] = self.grid.nearest(time)
         steps = np.diff(time, prepend=self.last)
         rising = self.pending is None and len(steps) > _LONGEST_LEAP and steps.min() > 0.0
