@@ -11,18 +11,25 @@ import pytest
 
 from tumble.diagnosis.turn_likelihood import WIDTHS
 from tumble.drafting.dialects import copy_as_tables, values_by_name
-from tumble.drafting.foreign_log import Draft
+from tumble.drafting.foreign_log import Draft, ForeignLog
 from tumble.drafting.hypotheses import Evidence, length_and_zero, ranked_hypotheses
 from tumble.drafting.new_session import Given, new_session
-from tumble.drafting.times import Stamps, overflow_of, recordings_of, times_of_column, times_without_column
+from tumble.drafting.times import (
+    Stamps,
+    at_rate,
+    overflow_of,
+    recordings_of,
+    times_of_column,
+    times_without_column,
+)
 from tumble.errors import InputError, LogError
 from tumble.files import OutputFolder
 from tumble.planning.setup import Setup
-from tumble.recording.columns.names import ACCEL, GYRO, Sensors, columns_by_name
+from tumble.recording.columns.names import ACCEL, GYRO, Columns, Sensors, columns_by_name
 from tumble.recording.columns.numbers import columns_by_data
 from tumble.recording.columns.scales import resolution_in_deg_s
-from tumble.recording.text.dialect import Dialect, is_clock, top_of
-from tumble.recording.text.text_log import seconds_of
+from tumble.recording.text.clock import is_clock, seconds_of
+from tumble.recording.text.dialect import Dialect, top_of
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, G_STANDARD, Array
 
@@ -103,8 +110,10 @@ def test_a_converter_has_its_zero_in_the_middle_where_it_writes_nothing_negative
 )
 def test_readings_of_one_g_tell_a_unit_from_counts(found: float, unit: str | None, doubted: bool) -> None:
     triads = {ACCEL: Sensors(columns=("x", "y", "z"), unit=None)}
-    draft = Draft(content={}, remarks=(), triads=triads, whole={ACCEL: True})
-    best, *rivals = ranked_hypotheses(Evidence(rate=100.0, length=found, length_u=0.005), draft)
+    source = ForeignLog(files=(), columns=Columns(time=None, time_unit=None, triads=triads))
+    draft = Draft(source=source, times=at_rate(100.0, 0.0), content={})
+    evidence = Evidence(rate=100.0, length=found, length_u=0.005, whole={ACCEL: True})
+    best, *rivals = ranked_hypotheses(evidence, draft)
     assert best.accel.unit == unit
     assert any(rival.cost - best.cost < WIDTHS.near for rival in rivals) == doubted
 

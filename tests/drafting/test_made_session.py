@@ -1,4 +1,4 @@
-"""The session made of a log is found by the content of the log, and made anew where other things are stated."""
+"""The session made of a log is found by the content of the log; where other things are stated another is made."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from tests.support.shared import session
 from tumble.drafting.made_session import session_of_log
 from tumble.drafting.new_session import Given
 from tumble.errors import InputError
-from tumble.files import in_use
 from tumble.planning.setup import Setup
 from tumble.recording.log import Log
 from tumble.recording.session_file import read_session
@@ -57,7 +56,7 @@ def test_a_magnetometer_that_waits_in_the_session_is_said(logs: Path) -> None:
 
 
 def test_a_copy_of_a_log_has_the_session_and_the_serial_number_of_the_first(logs: Path) -> None:
-    """Where another number is stated, the message says whose session is replaced."""
+    """Where another number is stated, it has a session of its own."""
     first, _ = made(logs / "flight-1.2.csv")
     copy = logs / "copy.csv"
     copy.write_bytes((logs / "flight-1.2.csv").read_bytes())
@@ -67,29 +66,9 @@ def test_a_copy_of_a_log_has_the_session_and_the_serial_number_of_the_first(logs
     )
     assert read_session(first).device.serial == "flight-1.2"
     folder, said = made(copy, replace(GIVEN, serial="B"))
-    assert folder == first
-    assert "in place of the session of serial number 'flight-1.2'; " in said
-    assert read_session(first).device.serial == "B"
-
-
-@pytest.mark.parametrize("half", [(), ("log.parquet",), ("session.toml", "made.json")])
-def test_what_a_killed_process_had_put_aside_comes_back(logs: Path, half: tuple[str, ...]) -> None:
-    folder, _ = made(logs / "flight-1.2.csv")
-    (folder / "notes.txt").write_text("mine")
-    aside = folder.rename(folder.with_name(f".{folder.name}.0123abcd"))
-    for name in half:
-        folder.mkdir(exist_ok=True)
-        (folder / name).write_bytes((aside / name).read_bytes() if name != "log.parquet" else b"half")
-    assert made(logs / "flight-1.2.csv")[0] == folder
-    assert sorted(path.name for path in folder.iterdir()) == ["made.json", "notes.txt", "session.toml"]
-    assert sorted(path.name for path in logs.iterdir() if path.is_dir()) == ["flight-1.2-session"]
-
-
-def test_another_log_whose_session_is_being_made_anew_is_no_hindrance(logs: Path) -> None:
-    log = (logs / "flight-1.2.csv").rename(logs / "flight.csv")
-    other, _ = made(logs / "flight-1.3.csv")
-    with in_use(other.rename(logs / f".{other.name}.0123abcd")):
-        assert made(log)[0] == logs / "flight-session"
+    assert folder == logs / "copy-session"
+    assert f"(--serial); {first} stays; kept in " in said
+    assert [read_session(each).device.serial for each in (first, folder)] == ["flight-1.2", "B"]
 
 
 def test_another_log_of_the_same_name_has_another_session(logs: Path) -> None:
@@ -121,37 +100,23 @@ def test_a_pattern_makes_no_folder_that_is_hidden_or_like_an_option(logs: Path) 
     assert made(logs / "*.2.csv")[0].name == "2-session"
     assert made(logs / "*-1.3.csv")[0].name == "1.3-session"
     (logs / "flight-1.3.csv").unlink()
-    assert made(logs / "*.csv", Given(latitude=40.0))[0].name == "2-session"
+    assert made(logs / "*.csv", Given(latitude=40.0))[0].name == "log-session"
 
 
-def test_other_statements_make_it_anew_and_keep_what_was_put_there(logs: Path) -> None:
+def test_other_statements_make_another_session_and_the_former_stays(logs: Path) -> None:
     folder, _ = made(logs / "flight-1.2.csv")
-    (folder / "notes.txt").write_text("mine", encoding="utf-8")
     (folder / "calibration.json").write_text("{}", encoding="utf-8")
-    again, said = made(logs / "flight-1.2.csv", Given(latitude=40.0))
-    assert again == folder
-    assert "made anew, with other options or by another version" in said
-    assert "in place of the session of serial number 'flight-1.2'; its calibration is kept as calibration-1" in said
-    assert "latitude_deg = 40.0" in (folder / "session.toml").read_text(encoding="utf-8")
-    assert {f.name for f in folder.iterdir()} == {"session.toml", "made.json", "notes.txt", "calibration-1.json"}
-    (folder / "calibration.json").write_text("again", encoding="utf-8")
-    assert "its calibration is kept as calibration-2.json" in made(logs / "flight-1.2.csv", Given(latitude=30.0))[1]
-    assert (folder / "calibration-1.json").read_text(encoding="utf-8") == "{}"
-    assert (folder / "calibration-2.json").read_text(encoding="utf-8") == "again"
-    assert [f.name for f in logs.iterdir() if f.name.startswith(".")] == []
-
-
-def test_a_command_that_only_reads_leaves_a_session_of_other_options(logs: Path) -> None:
-    folder, _ = made(logs / "flight-1.2.csv", replace(GIVEN, serial="B"))
-    (folder / "calibration.json").write_text("{}", encoding="utf-8")
-    before = {f: f.read_bytes() for f in folder.iterdir()}
-    given = Given(serial="A", latitude=50.0)
-    with session_of_log(logs / "flight-1.2.csv", given, Log.chunks, reads_only=True) as (temporary, said, _):
-        assert said == f"{folder} is of other options or another version (--serial) and stays; the log is read anew"
-        assert read_session(temporary).device.serial == "A"
-        assert temporary != folder
-    assert {f: f.read_bytes() for f in folder.iterdir()} == before
-    assert [f for f in logs.iterdir() if f.is_dir()] == [folder]
+    before = {f.name: f.read_bytes() for f in folder.iterdir()}
+    another, said = made(logs / "flight-1.2.csv", Given(latitude=40.0))
+    assert another == logs / "flight-1.2-2-session"
+    assert said.startswith(
+        f"made anew, with other options or by another version (--latitude); {folder} stays; kept in "
+    )
+    assert "latitude_deg = 40.0" in (another / "session.toml").read_text(encoding="utf-8")
+    assert {f.name for f in another.iterdir()} == {"session.toml", "made.json"}
+    assert {f.name: f.read_bytes() for f in folder.iterdir()} == before
+    assert made(logs / "flight-1.2.csv")[0] == folder
+    assert made(logs / "flight-1.2.csv", Given())[0] == another
 
 
 def test_a_latitude_that_is_none_is_said_before_the_session() -> None:
@@ -159,13 +124,13 @@ def test_a_latitude_that_is_none_is_said_before_the_session() -> None:
         Given(latitude=481.0)
 
 
-def test_a_session_that_fails_to_be_made_anew_is_as_it_was(logs: Path) -> None:
+def test_a_session_that_fails_to_be_made_leaves_nothing(logs: Path) -> None:
     folder, _ = made(logs / "flight-1.2.csv")
     before = {f.name: f.read_bytes() for f in folder.iterdir()}
     with pytest.raises(InputError, match="accel: expected names of columns"):
         made(logs / "flight-1.2.csv", replace(GIVEN, accel=("1", "2", "99")))
     assert {f.name: f.read_bytes() for f in folder.iterdir()} == before
-    assert [f.name for f in logs.iterdir() if f.name.startswith(".")] == []
+    assert [f for f in logs.iterdir() if f.is_dir()] == [folder]
 
 
 def test_what_was_corrected_by_hand_is_used_and_never_replaced(logs: Path) -> None:
@@ -173,6 +138,5 @@ def test_what_was_corrected_by_hand_is_used_and_never_replaced(logs: Path) -> No
     text = (folder / "session.toml").read_text(encoding="utf-8").replace("latitude_deg = 50.0", "latitude_deg = 51.0")
     (folder / "session.toml").write_text(text, encoding="utf-8")
     assert made(logs / "flight-1.2.csv")[1].endswith("before, corrected by hand")
-    with pytest.raises(InputError, match=r"found others \(latitude\), .* corrected by hand; calibrate it as it is"):
-        made(logs / "flight-1.2.csv", Given(latitude=40.0))
+    assert made(logs / "flight-1.2.csv", Given(latitude=40.0))[0] != folder
     assert (folder / "session.toml").read_text(encoding="utf-8") == text

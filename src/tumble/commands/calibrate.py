@@ -78,7 +78,7 @@ def calibrate(
 
     A file that is no session.toml, or anything with --latitude, --height, --serial, --sample-rate, --accel, --gyro,
     --time or units, is a LOG in any dialect: a session is made of it first, as `tumble new` does, in the folder
-    LOG-session beside it. For the same log it is reused; with other options it is made anew. Files that are
+    LOG-session beside it. For the same log it is reused; with other options another is made. Files that are
     positions of one recording are one LOG as a folder or as a 'PATTERN' in quotes; for other logs make a session each.
     """
     from tumble.recording.session_file import read_session
@@ -110,7 +110,7 @@ def calibrate(
     if base is not None and (len(sessions) > 1 or together or methods != ("joint",)):
         raise InputError("--base: expected one recording and the method joint, found others")
     estimation |= {} if base is None else {"base": base}
-    folders_made = session_folders(sessions, dict(options), every=shown["every"], reads_only=False)
+    folders_made = session_folders(sessions, dict(options), every=shown["every"])
     with _gyros_alone(sessions, options, out, force=force), folders_made as folders, console.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
         if together:

@@ -56,13 +56,13 @@ _ALWAYS_PRINTED = re.compile(r"^undone: |\(--message takes another\)$")
 
 @contextmanager
 def session_folders(
-    recordings: Sequence[Path], options: dict[str, Any], *, every: bool = False, reads_only: bool = True
+    recordings: Sequence[Path], options: dict[str, Any], *, every: bool = False
 ) -> Iterator[Sequence[Path]]:
     """Yield the folders of sessions; a session made from a log is removed if the block fails.
 
     A log is a file other than session.toml, a folder without one, or anything given with `options` of `params.LOG`.
     With `every`, notes on how each part of the session was determined are printed, otherwise only those on other
-    sensors in the recording and on corrections of it. With `reads_only` a session made with other options stays."""
+    sensors in the recording and on corrections of it."""
     first, stated = recordings[0], any(value is not None for value in options.values())
     if not stated and (len(recordings) > 1 or not is_log(first)):
         yield recordings
@@ -74,7 +74,7 @@ def session_folders(
         )
     from tumble.drafting.made_session import session_of_log
 
-    made = session_of_log(first, params.given_of(options), console.with_progress, reads_only=reads_only)
+    made = session_of_log(first, params.given_of(options), console.with_progress)
     with made as (folder, state, sentences):
         for sentence in sentences:
             if every or _ALWAYS_PRINTED.search(sentence):

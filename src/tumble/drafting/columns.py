@@ -5,18 +5,15 @@ Names and units are trusted; numbers only decide which columns without meaningfu
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
 
 import numpy as np
-import polars as pl
 
-from tumble.drafting.containers import NAMED, NoLogError, check_format
+from tumble.drafting.containers import BINARY_ENDINGS, NoLogError, check_format
 from tumble.drafting.dialects import copy_as_tables
-from tumble.drafting.foreign_log import HEAD_ROWS, LONGEST, SAMPLE_ROWS, ForeignLog, StatedColumns
+from tumble.drafting.foreign_log import HEAD_ROWS, NOTHING_GIVEN, SAMPLE_ROWS, ForeignLog, Given
 from tumble.drafting.repairs import nanoseconds_column, with_signs
 from tumble.drafting.sensors_apart import are_sensors_apart, join_sensors, of_one_device, of_one_group
 from tumble.drafting.times import grows_mostly, times_of_column
@@ -31,30 +28,23 @@ from tumble.recording.columns.names import (
     time_unit,
     unit_of_name,
 )
-from tumble.recording.columns.numbers import columns_by_data, grows, guess_remarks, time_by_data
+from tumble.recording.columns.numbers import columns_by_data, grows, guess_remarks
 from tumble.recording.log_source import readable
 from tumble.recording.readers import ENDINGS, source_of
-from tumble.recording.text.dialect import COUNTS, LINE_BYTES, SEEN_BYTES, Dialect, dialect_of, head_lines, is_clock
+from tumble.recording.text.clock import is_clock
+from tumble.recording.text.dialect import LINE_BYTES, SEEN_BYTES, Dialect, dialect_of, head_lines
 from tumble.recording.text.pieces import opened
 
 _GROWING_SHARE = 0.9  # of the steps of stamps, if these are the times of rows
 _DELIMITER_WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
-_NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
-def identify_log(
-    files: Sequence[Path],
-    folder: OutputFolder,
-    stated: StatedColumns = _NOTHING,
-    units: Mapping[str, str] = _NOTHING,
-    instance: str | None = None,
-) -> ForeignLog:
+def identify_log(files: Sequence[Path], folder: OutputFolder, given: Given = NOTHING_GIVEN) -> ForeignLog:
     """Return one log of text and Parquet files, with its columns identified.
 
-    `stated` and `units` are the user's statements by role and by kind of sensor; `instance` names one of several
-    devices in a table, by default the first. Files in one dialect whose columns have no meaningful names are identified
-    together, because one position is not enough to recognise sensors. Raises InputError for files that are no logs, or
-    are in different dialects."""
+    Statements of the user take precedence; a message names one of several devices in a table, by default the first.
+    Files in one dialect whose columns have no meaningful names are identified together, because one position is not
+    enough to recognise sensors. Raises InputError for files that are no logs, or are in different dialects."""
     logs: list[ForeignLog] = []
     errors: list[NoLogError] = []
     omitted: tuple[str, ...] = ()
@@ -62,14 +52,14 @@ def identify_log(
     for file in files:
         try:
             read = _logs_in(file, folder)
-            read = read if ACCEL in stated else [of_one_group(log, _numeric_columns(log), instance) for log in read]
-            logs += [log.with_stated(stated, units) for log in read]
+            read = read if given.accel else [of_one_group(log, given.message) for log in read]
+            logs += [log.with_stated(given) for log in read]
         except NoLogError as error:
             errors.append(error)
             omitted += (f"{file.name} has no rows of readings and is left out",)
     if not logs:
         raise errors[0]
-    logs = [of_one_device(log, _numeric_columns(log), instance) for log in logs]
+    logs = [of_one_device(log, given.message) for log in logs]
     logs = [_without_empty_thermometers(_with_finest_time(log)) for log in logs]
     parts = _parts_with_own_times(logs[0]) if len(logs) == 1 else []
     if parts or are_sensors_apart(logs):
@@ -85,16 +75,15 @@ def identify_log(
     omitted += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in without_accel)
     logs = [log for log in logs if log not in without_accel]
     first = logs[0]
-    alike = all(log.cells and (log.keys, set(log.cells)) == (first.keys, set(first.cells)) for log in logs)
+    alike = all(log.cells and (log.dialect, set(log.cells)) == (first.dialect, set(first.cells)) for log in logs)
     if len(logs) > 1 and not named and alike:
-        numeric = _numeric_columns(first)
-        time = first.columns.time or time_by_data(numeric, first.read(numeric, rows=LONGEST // 10))
+        time = first.columns.time or first.time_by_data()
         logs = [replace(first.with_columns(time=time), files=tuple(file for log in logs for file in log.files))]
     logs = [_with_columns_by_data(_with_time(_with_gravity(log)) if log in named else log) for log in logs]
     first = logs[0]
     for log in logs[1:]:
         written, first_written = (
-            (each.keys, each.columns.triads, each.columns.time, each.instance) for each in (log, first)
+            (each.dialect, each.columns.triads, each.columns.time, each.instance) for each in (log, first)
         )
         if written != first_written:
             raise InputError(
@@ -110,9 +99,9 @@ def identify_log(
 
 def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     """Return the log in a file, or one log per sensor if each row belongs to one sensor."""
-    check_format(file, recording=file.suffix.lower() in NAMED)
+    check_format(file, recording=file.suffix.lower() in BINARY_ENDINGS)
     if file.suffix.lower() == ".parquet":
-        return [ForeignLog(files=(file,), keys={}, columns=columns_by_name(source_of(file).names))]
+        return [ForeignLog(files=(file,), columns=columns_by_name(source_of(file).names))]
     with readable(file), opened(file) as stream:
         start = stream.read(SEEN_BYTES)
     if not start:
@@ -143,7 +132,6 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     plain = dialect == Dialect() and top.lines == 1 and "".join(file.suffixes[-2:]).lower().endswith(ENDINGS)
     log = ForeignLog(
         files=(file,),
-        keys={} if plain else dialect.keys(),
         columns=columns_by_name([name for name in top.names if name not in text]),
         preamble=top.preamble,
         cells=cells,
@@ -154,15 +142,6 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     return [log.with_columns(time=clock) if log.columns.time is None else log]
 
 
-def _numeric_columns(log: ForeignLog) -> list[str]:
-    """Return the names of the columns of numbers."""
-    if not log.cells:
-        schema = pl.scan_parquet(log.files[0], glob=False).collect_schema()
-        return [name for name, kind in schema.items() if kind.is_numeric()]
-    is_number = (log.dialect or Dialect()).is_number
-    return [name for name, cells in log.cells.items() if sum(map(is_number, cells)) > len(cells) // 2]
-
-
 def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
     """Identify sensors by their numbers where names do not identify them.
 
@@ -170,10 +149,10 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
     with a name that does not tell them are taken only if they turn the accelerometers' vector."""
     named, names = log.columns, list(log.names)
     accel = named.triads[ACCEL].columns if ACCEL in named.triads else ()
-    taken = {column for sensors in named.triads.values() for column in sensors.columns} | {named.time}
-    free = [name for name in _numeric_columns(log) if name not in taken and not is_no_sensor(name)]
+    taken = {*named.sensors, named.time}
+    free = [name for name in log.numeric if name not in taken and not is_no_sensor(name)]
     if accel:  # those of other devices are no gyros
-        taken |= {column for sensors in columns_by_name(free).triads.values() for column in sensors.columns}
+        taken |= {*columns_by_name(free).sensors}
         free = [name for name in free if name not in taken]
     nameless = [name for name in free if name.isdecimal()]
     if len(free) < 3 or (accel and GYRO in named.triads):
@@ -241,8 +220,7 @@ def _without_empty_thermometers(log: ForeignLog) -> ForeignLog:
     if not empty:
         return log
     named = log.columns
-    sensors = [column for triad in named.triads.values() for column in triad.columns]
-    rest = columns_by_name([n for n in (*sensors, *named.temperatures, *named.others) if n not in empty])
+    rest = columns_by_name([n for n in (*named.sensors, *named.temperatures, *named.others) if n not in empty])
     remark = f"temperature: {', '.join(empty)} is left out, for it reads nothing or cannot be read"
     return _without_empty_thermometers(log.with_columns([remark], temperatures=rest.temperatures, others=rest.others))
 
@@ -250,7 +228,7 @@ def _without_empty_thermometers(log: ForeignLog) -> ForeignLog:
 def _parts_with_own_times(log: ForeignLog) -> list[ForeignLog]:
     """Return a log for each kind of sensor if each kind has its own times: in a column before those of the sensors, or
     in rows of its own, so that at most each second row has readings of all."""
-    names, numeric = list(log.names), _numeric_columns(log)
+    names, numeric = list(log.names), log.numeric
     parts = [log.with_columns(triads={k: log.columns.triads[k]}) for k in (ACCEL, GYRO) if k in log.columns.triads]
     timed, triads = list[ForeignLog](), [next(iter(part.columns.triads.values())) for part in parts]
     for part, sensors in zip(parts, triads, strict=True):
@@ -273,9 +251,7 @@ def _with_time(log: ForeignLog) -> ForeignLog:
     """Choose a column that grows like a time if no column is named as the time."""
     if log.columns.time is not None:
         return log
-    sensors = {c for triad in log.columns.triads.values() for c in triad.columns}
-    names = [name for name in _numeric_columns(log) if name not in sensors and not COUNTS.fullmatch(name)]
-    time = time_by_data(names, log.read(names, rows=LONGEST // 10)) if names else None
+    time = log.time_by_data()
     if time is None:
         return log
     remark = f"time: column {time!r}, by its numbers (a guess)"

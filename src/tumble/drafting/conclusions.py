@@ -4,18 +4,17 @@ about hypotheses that are nearly as likely."""
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from tumble.diagnosis.channels import like_gravity
-from tumble.diagnosis.turn_likelihood import WIDTHS, Widths, columns_text
+from tumble.diagnosis.turn_likelihood import columns_text
 from tumble.drafting.foreign_log import Draft, linear_acceleration
 from tumble.drafting.hypotheses import Evidence, Hypothesis, gather_evidence, ranked_hypotheses
 from tumble.errors import InputError, TumbleError
-from tumble.recording.columns.names import ACCEL, GYRO, WITHOUT_GRAVITY
+from tumble.recording.columns.names import ACCEL, GYRO, NAMED
 from tumble.recording.columns.scales import COUNTS_PER, COUNTS_PER_SI, SensorScale
 from tumble.recording.session import USUAL_RATE_U
 from tumble.run.observed import Progress, inspect_session
@@ -28,62 +27,54 @@ _MOST_RIVALS = 3  # listed in a doubt, the likeliest
 _TIME_KEYS = ("time", "time_unit", "regular", "rate_hz")
 
 
-def complete_draft(
-    draft: Draft, progress: Progress, widths: Widths = WIDTHS, stated: Container[str] = ()
-) -> tuple[Draft, list[str]]:
-    """Add units, scales and times to a draft whose sensors are raw numbers, and list the faults of its recording.
-
-    `widths` are the standard deviations of the cost of hypotheses, `stated` the kinds of sensors whose columns the user
-    stated."""
-    evidence = gather_evidence(draft, progress, widths)
-    best, *others = ranked_hypotheses(evidence, draft, widths)
-    rivals = [hypothesis for hypothesis in others if hypothesis.cost < best.cost + widths.near]
+def complete_draft(draft: Draft, progress: Progress) -> list[str]:
+    """Add units, scales and times to a draft whose sensors are raw numbers, and return the faults of its recording."""
+    evidence = gather_evidence(draft, progress)
+    best, *others = ranked_hypotheses(evidence, draft)
+    rivals = [hypothesis for hypothesis in others if hypothesis.cost < best.cost + draft.widths.near]
     log = {key: value for key, value in draft.log.items() if key not in _TIME_KEYS} | best.times.keys
-    remarks = _time_remarks(draft, best)
+    draft.content["log"] = log
+    draft.say(*_time_remarks(draft, best))
     if ACCEL in draft.triads:
-        log[ACCEL], accel_remarks = _accel_table(draft, best, evidence)
-        remarks += accel_remarks
+        log[ACCEL] = _accel_table(draft, best, evidence)
     if best.gyro is not None:
         if draft.rate_guessed and best.profile is not None:  # the other rates that the turns fit are in u
             rates = [h.times.rate for h in rivals if h.gyro == best.gyro]
             rate_u = max((abs(math.log(rate / best.times.rate)) for rate in rates), default=0.0)
             log |= {"clock_ppm_u": round(1e6 * min(rate_u, 1.0))} if rate_u > USUAL_RATE_U else {}
-        log[GYRO], gyro_remarks = _gyro_table(draft, best, best.gyro, evidence, rivals)
-        remarks += gyro_remarks
-    of_gravity = _doubts_of_gravity(draft, best, evidence, stated)
-    of_units = list(_doubts_of_units(draft, log, best, rivals))
+        log[GYRO] = _gyro_table(draft, best, best.gyro, evidence, rivals)
+    of_gravity = _doubts_of_gravity(draft, best, evidence)
+    of_units = list(_doubts_of_units(draft, best, rivals))
     of_log = (*of_gravity, *(doubt for kind, doubt in of_units if not kind), *draft.doubts)
     log |= {"doubt": "; ".join(of_log)} if of_log else {}
     for kind, doubt in of_units:
         log |= {kind: log[kind] | {"doubt": doubt}} if kind else {}
-    doubts = (*(doubt for kind, doubt in of_units if kind), *of_log)
-    content = {**draft.content, "log": log}
-    out = replace(draft, content=content, remarks=(*draft.remarks, *remarks), doubts=doubts, rate=best.times.rate)
+    draft.doubts, draft.times = (*(doubt for kind, doubt in of_units if kind), *of_log), best.times
     if ACCEL not in draft.triads:
-        return out, []
+        return []
     try:
-        observed = inspect_session(out.session(), progress=progress)
+        observed = inspect_session(draft.session(), progress=progress)
         faults = [*observed.faults, *observed.gyro_faults]
     except (TumbleError, np.linalg.LinAlgError) as error:
         faults = [str(error)]
     if best.profile is None or best.gyro is None:
-        return out, faults
+        return faults
     if best.profile.exchanged:
         faults = [f"the gyros carry the vertical from rest to rest only where {columns_text(best.profile.exchange)}"]
-    if not (best.gyro.listed or best.accel.unit is None or draft.whole[GYRO]):
+    if not (best.gyro.listed or best.accel.unit is None or evidence.whole[GYRO]):
         written = f"; column {best.times.keys['time']!r} is taken as it is written" if best.times.stamped else ""
         faults.append(
             f"the gyros carry the vertical only with {best.gyro.value:.4g} numbers per deg/s, as in no unit and on no "
             f"data sheet{written}: is their unit right?"
         )
-    return out, faults
+    return faults
 
 
-def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence, stated: Container[str]) -> Iterator[str]:
+def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> Iterator[str]:
     """Yield doubts about accelerometers that do not read gravity in a unit.
 
     Raises InputError if such accelerometers are named as linear acceleration, or if the gyros read gravity and the
-    columns are not `stated` by the user."""
+    columns are not stated by the user."""
     if ACCEL not in draft.triads:
         return
     unit, columns = draft.unit(ACCEL), draft.triads[ACCEL].columns
@@ -92,12 +83,12 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence, state
         if abs(length - 1.0) > _GRAVITY_TOLERANCE:
             reading = f"the accelerometers read {length:.3g} g at rest in {unit}, as their names say"
             yield f"{reading}: if another unit is right, state --accel-unit; without gravity none is calibrated"
-    elif not (draft.whole[ACCEL] or unit == "V") and (
+    elif not (evidence.whole[ACCEL] or unit == "V") and (
         not best.accel.listed or abs(evidence.length / best.accel.reading(best.times.rate) - 1.0) > _GRAVITY_TOLERANCE
     ):
-        if WITHOUT_GRAVITY.search(columns[0]):
+        if NAMED["without_gravity"].search(columns[0]):
             raise linear_acceleration(draft.files[0], columns)
-        by_names = GYRO in draft.triads and ACCEL not in stated and GYRO not in stated
+        by_names = GYRO in draft.triads and not (draft.given.accel or draft.given.gyro)
         if by_names and evidence.rests >= _FEWEST_FOR_GRAVITY and like_gravity(evidence.gyro):
             gyros = draft.triads[GYRO].columns
             raise InputError(
@@ -116,9 +107,7 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence, state
             )
 
 
-def _doubts_of_units(
-    draft: Draft, log: Mapping[str, Any], best: Hypothesis, rivals: Sequence[Hypothesis]
-) -> Iterator[tuple[str, str]]:
+def _doubts_of_units(draft: Draft, best: Hypothesis, rivals: Sequence[Hypothesis]) -> Iterator[tuple[str, str]]:
     """Yield doubts about units and the rate, with the consequence of each and the option that settles it.
 
     A doubt that ends where a recording determines the scale of sensors comes with their kind, others with ""."""
@@ -130,7 +119,7 @@ def _doubts_of_units(
         scales = [h.accel if kind == ACCEL else h.gyro for h in rivals if kind in h.differs(best)]
         labels = dict.fromkeys(rival.label for rival in scales if rival is not None and rival.listed)
         others = " or ".join(list(labels)[:_MOST_RIVALS])
-        unscaled = log[kind]["unit"] == "count" and "scale" not in log[kind]
+        unscaled = draft.log[kind]["unit"] == "count" and "scale" not in draft.log[kind]
         if unscaled and draft.rate_guessed and best.profile is not None:
             pairs = [(h.gyro.value, h.times.rate) for h in (best, *rivals) if h.gyro is not None and h.gyro.listed]
             rate_of = dict(reversed(pairs))  # the likeliest of each scale
@@ -206,13 +195,13 @@ def _raw_table(columns: list[str], scale: float, per: str, zero: Any, unit: str 
     return {"columns": columns, "unit": unit, "scale": value, "scale_per": per, "offset": zero}
 
 
-def _accel_table(draft: Draft, best: Hypothesis, evidence: Evidence) -> tuple[dict[str, Any], list[str]]:
-    """Return the table [log.accel] and remarks on it."""
+def _accel_table(draft: Draft, best: Hypothesis, evidence: Evidence) -> dict[str, Any]:
+    """Return the table [log.accel], and add remarks on it."""
     columns, scale = list(draft.triads[ACCEL].columns), best.accel
     subject, unit, length = f"accelerometers: {', '.join(columns)}", draft.unit(ACCEL), evidence.length
     if unit is not None and ACCEL_UNITS[unit].kind != "raw":
-        remarks = [f"{subject} in {unit} (from the name or the format), magnitude {length:.6g}"]
-        return {"columns": columns, "unit": unit}, remarks
+        draft.say(f"{subject} in {unit} (from the name or the format), magnitude {length:.6g}")
+        return {"columns": columns, "unit": unit}
     zero: Any = evidence.zero[0] if len(set(evidence.zero)) == 1 else evidence.zero
     if not evidence.rests:
         how = "a guess, for there are no rests, from their median magnitude"
@@ -222,43 +211,44 @@ def _accel_table(draft: Draft, best: Hypothesis, evidence: Evidence) -> tuple[di
         how = f"from {evidence.rests} rests"
     at_zero = f", zero at {zero}" if zero or scale.unit is None else ""
     nominal = f"V: {length:.4g} V per g found" if unit == "V" else _scale_remark(ACCEL, scale, evidence, best)
-    remarks = [f"{subject} in {nominal}{at_zero} ({how})"]
+    draft.say(f"{subject} in {nominal}{at_zero} ({how})")
     if scale.unit is not None and not zero:
-        return {"columns": columns, "unit": scale.unit}, remarks
+        return {"columns": columns, "unit": scale.unit}
     raw = "V" if unit == "V" else "count"
-    return _raw_table(columns, scale.value if scale.listed else float(f"{length:.4g}"), "g", zero, raw), remarks
+    return _raw_table(columns, scale.value if scale.listed else float(f"{length:.4g}"), "g", zero, raw)
 
 
 def _gyro_table(
     draft: Draft, best: Hypothesis, gyro: SensorScale, evidence: Evidence, rivals: Sequence[Hypothesis]
-) -> tuple[dict[str, Any], list[str]]:
-    """Return the table [log.gyro] and remarks on it."""
-    columns, stated = list(draft.triads[GYRO].columns), draft.unit(GYRO)
+) -> dict[str, Any]:
+    """Return the table [log.gyro], and add remarks on it."""
+    columns = list(draft.triads[GYRO].columns)
     subject, table = f"gyros: {', '.join(columns)} in", {"columns": columns, "unit": gyro.unit}
     bias = [float(f"{b:.6g}") for b in evidence.bias]
-    if gyro.unit is not None and stated == gyro.unit:
-        return table, [f"{subject} {gyro.unit} (from the name or the format)"]
+    if gyro.unit is not None and draft.unit(GYRO) == gyro.unit:
+        draft.say(f"{subject} {gyro.unit} (from the name or the format)")
+        return table
     scales = {h.gyro.value for h in rivals if h.gyro is not None and h.gyro.listed and h.gyro.unit is None}
     # turns at an unknown rate give the product of scale and rate
     unsure = evidence.turns == 1 or draft.rate_guessed
     undecided = unsure and gyro.unit is None and bool(scales - {gyro.value})
     if best.profile is not None and not undecided:
         by = f"by {evidence.turns} turns" if evidence.turns > 1 else "by one turn"
-        remark = f"{subject} {_scale_remark(GYRO, gyro, evidence, best)} ({by})"
+        draft.say(f"{subject} {_scale_remark(GYRO, gyro, evidence, best)} ({by})")
         if gyro.unit is not None:
-            return table, [remark]
+            return table
         offset = bias if np.abs(evidence.bias).max() > _LARGEST_BIAS * gyro.value else 0.0
-        return _raw_table(columns, gyro.value, "deg/s", offset), [remark]
+        return _raw_table(columns, gyro.value, "deg/s", offset)
     if gyro.unit is None:
         fitting = " or ".join(f"{value:.6g}" for value in sorted(scales | {gyro.value}))
         turns = "only turn" if evidence.turns == 1 else "turns, each at another rate"
         reason = f"{fitting} per deg/s fit the {turns}" if undecided else "no turns show it"
         unknown = f"the offset is their reading at rest, the scale is unknown, for {reason}"
-        counts = {"columns": columns, "unit": "count", "scale_per": "deg/s", "offset": bias}
-        return counts, [f"{subject} counts; {unknown}: put that of the data sheet there"]
-    remarks = [f"{subject} {gyro.unit} (a guess)"]
+        draft.say(f"{subject} counts; {unknown}: put that of the data sheet there")
+        return {"columns": columns, "unit": "count", "scale_per": "deg/s", "offset": bias}
+    draft.say(f"{subject} {gyro.unit} (a guess)")
     if evidence.rests:
         length = float(np.linalg.norm(evidence.bias))
         sizes = (f"{length * GYRO_UNITS[u].factor / DEGREE:.2g} °/s in {u}" for u in ("rad/s", "deg/s", "mdeg/s"))
-        remarks.append(f"gyros: no turn shows their unit; at rest they read {length:.3g}: {', '.join(sizes)}")
-    return table, remarks
+        draft.say(f"gyros: no turn shows their unit; at rest they read {length:.3g}: {', '.join(sizes)}")
+    return table

@@ -24,7 +24,7 @@ _DAMAGED = (zipfile.BadZipFile, NotImplementedError, RuntimeError, ValueError, E
 _START_BYTES = 4096
 _BINARY = re.compile(rb"[\x01-\x08\x0e-\x1a\x1c-\x1f\x7f]")
 _BINARY_SHARE = 0.02  # of the bytes of a text, at most
-NAMED = (".parquet", ".gz", ".zst")
+BINARY_ENDINGS = (".parquet", ".gz", ".zst")
 """Endings of binary files other than recordings."""
 _FORMATS = tomllib.loads((Path(__file__).parent / "formats.toml").read_text(encoding="utf-8"))
 
@@ -89,7 +89,7 @@ class NoLogError(InputError):
 def check_format(file: Path, *, recording: bool) -> None:
     """Raise NoLogError for an unreadable format, recognised by the first bytes, with the format and what to do.
 
-    `recording`: the file has the ending of a recording, or one in NAMED."""
+    `recording`: the file has the ending of a recording, or one in BINARY_ENDINGS."""
     with readable(file), file.open("rb") as stream:
         start = stream.read(_START_BYTES)
     for at, mark, name, advice in _FORMATS["refused"] + ([] if recording else _FORMATS["misnamed"]):

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import json
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -32,11 +33,14 @@ from typing import IO, Any
 
 from tumble.errors import InputError
 from tumble.files import OutputFolder, plain_name, whole_file
-from tumble.recording.columns.names import ACCEL, SENSOR_WORDS
+from tumble.recording.columns.names import ACCEL, NAMED
 from tumble.recording.log_source import readable
-from tumble.recording.text.dialect import Dialect, dialect_of, encoding_of, is_clock
+from tumble.recording.text.clock import is_clock
+from tumble.recording.text.dialect import Dialect, dialect_of, encoding_of
 from tumble.recording.text.pieces import opened
 
+_FORMS: Mapping[str, Any] = tomllib.loads(Path(__file__).with_name("forms.toml").read_text(encoding="utf-8"))
+_PATTERN: Mapping[str, re.Pattern[str]] = {name: re.compile(text) for name, text in _FORMS["patterns"].items()}
 _SOME_LINES = 200
 _FEWEST_NUMBERS = 3
 _LONGEST_LINE = 4096  # characters
@@ -85,25 +89,13 @@ def uniform_lines(lines: Sequence[str], parse: Callable[[str], ParsedLine | None
 
 # -------------------- lines of one form --------------------
 
-_FIELD = tuple(f"Mag{axis} [gauss]" for axis in "XYZ")
-_INERTIAL = (*(f"Accel{axis} [m/s^2]" for axis in "XYZ"), *(f"Gyro{axis} [rad/s]" for axis in "XYZ"))
-_SENTENCE_NAMES = {
-    "VNYMR": ("Yaw", "Pitch", "Roll", *_FIELD, *_INERTIAL),
-    "VNQMR": ("Qx", "Qy", "Qz", "Qw", *_FIELD, *_INERTIAL),
-    "VNIMU": (*_FIELD, *_INERTIAL, "Temperature [degC]", "Pressure [kPa]"),
-    "VNMAR": (*_FIELD, *_INERTIAL),
-}
-"""Columns of VectorNav's sentences. Source: reference of the VN-100, asynchronous output."""
-
-_SENTENCE = re.compile(r"\s*\$((\w+),[^*]*)\*([0-9A-Fa-f]{2})\s*")
-
 
 def sentence(line: str) -> ParsedLine | None:
     """Parse a sentence with a checksum, `$VNYMR,…*6D`; None if damaged."""
-    match = _SENTENCE.fullmatch(line)
+    match = _PATTERN["sentence"].fullmatch(line)
     if match is None or int(match[3], 16) != reduce(xor, match[1].encode(), 0):
         return None
-    kind, names, values = match[2], _SENTENCE_NAMES.get(match[2], ()), match[1].split(",")[1:]
+    kind, names, values = match[2], tuple(_FORMS["sentences"].get(match[2], ())), match[1].split(",")[1:]
     is_row = len(values) >= _FEWEST_NUMBERS and len(names) in (0, len(values))
     return (f" ${kind}", names, values) if is_row else None
 
@@ -132,18 +124,14 @@ def _flattened(content: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
             yield name, value
 
 
-_BRACKETED = re.compile(r"\s*[\[({][-+.\d\seE,;\[\](){}]*[\])}]\s*[,;]?\s*")
-_MONITORED = re.compile(r"\s*(\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?)\s*->\s*(.*)")
-
-
 def row_in_brackets(line: str) -> ParsedLine | None:
     """Parse a row in brackets."""
-    return ("", (), [re.sub(r"[\[\](){}]", "", line).strip(" \t,;")]) if _BRACKETED.fullmatch(line) else None
+    return ("", (), [re.sub(r"[\[\](){}]", "", line).strip(" \t,;")]) if _PATTERN["bracketed"].fullmatch(line) else None
 
 
 def row_behind_clock(line: str) -> ParsedLine | None:
     """Parse a row behind the clock of a serial monitor, `13:02:11.345 -> 0.1,…`, which becomes the first column."""
-    match = _MONITORED.fullmatch(line)
+    match = _PATTERN["monitored"].fullmatch(line)
     if match is None:
         return None
     clock, rest = match.groups()
@@ -158,19 +146,6 @@ def row_before_semicolon(line: str) -> ParsedLine | None:
 
 # -------------------- names before the values --------------------
 
-# A word matches only from its first letter, so that matching takes no longer for a line of letters only.
-_KEY = re.compile(
-    r"(?<![^\W\d])([^\W\d][\w.]*+)\s*(?:\(\s*([^()\d]+?)\s*\)\s*)?(?:[=:]\s*(?=[-+\d.\[(])|(?=\[\s*[-+]?\d+\.))"
-)
-_GROUP = re.compile(r"(?<![^\W\d])([^\W\d]\w*+)\s*(?:\([^()]*\))?\s*:\s*(?=[^\W\d]\w*\s*=)")
-_NUMBER = re.compile(r"(?<![\w^/.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_AFTER_TIME = re.compile(r"[\s\[\]()>,;|:-]*$")
-_LAST_WORD = re.compile(r"([^\W\d]\w*)\s+$")
-_LAST_WORDS = re.compile(r"(?<!\w)([^\W\d]\w*(?:[ \t]+[^\W\d]\w*)*)\s+$")
-_UNITS = r"(?:m/s\^?2|rad/s|deg/s|m?dps|m?g)"
-_NUMBER_AND_UNIT = re.compile(rf"^[-+.,\deE\s]*(?:{_UNITS}(?!\w))?")
-_LAST_UNIT = re.compile(rf"(?<![^\W\d])\s*({_UNITS})\s*$")
-_TITLE = re.compile(r"[ \t]*([^\W\d][\w.]*)\s*:\s*")
 _FEWEST_NAMES = 6  # of a sample of several lines
 _TIME = "time"
 _QUANTITIES = ("velocity", "acceleration", "rate", "field")
@@ -187,25 +162,25 @@ def values_by_name(line: str) -> dict[str, str]:
 
     The name of an axis is completed by that of the sensor before several axes, `GYRO: X=0.1, Y=…`, else by the words
     before it, `Linear Accel X = 0.1, Y = …`, which also apply to the following axes."""
-    keys, groups = (list(pattern.finditer(line[:_LONGEST_LINE])) for pattern in (_KEY, _GROUP))
+    keys, groups = (list(pattern.finditer(line[:_LONGEST_LINE])) for pattern in (_PATTERN["key"], _PATTERN["group"]))
     if not keys:
         return {}
     first = min(name.start() for name in (keys[0], *groups[:1]))
-    when = _AFTER_TIME.sub("", _LAST_WORDS.sub("", line[:first])).strip(" []")
-    values = {_TIME: when} if is_clock(when) or _NUMBER.fullmatch(when) else {}
+    when = _PATTERN["after_time"].sub("", _PATTERN["last_words"].sub("", line[:first])).strip(" []")
+    values = {_TIME: when} if is_clock(when) or _PATTERN["number"].fullmatch(when) else {}
     words, end = "", 0
     for key, following in zip(keys, [*keys[1:], None], strict=True):
         sensor = [group[1] for group in groups if group.end() <= key.start() and key[0].rstrip().endswith("=")]
-        before = _LAST_WORDS.search(_NUMBER_AND_UNIT.sub("", line[end : key.start()]))
+        before = _PATTERN["last_words"].search(_PATTERN["number_and_unit"].sub("", line[end : key.start()]))
         words, end = before[1] if before else words, key.end()
         is_axis = not sensor and len(key[1]) == 1
         name = f"{words} {key[1]}".strip() if is_axis else "_".join([*sensor[-1:], key[1]])
-        numbers = _NUMBER.findall(line[end : following.start() if following else None])
+        numbers = _PATTERN["number"].findall(line[end : following.start() if following else None])
         unit = f" [{key[2]}]" if key[2] else ""
         if len(numbers) == 1:
             values[name + unit] = numbers[0]
         elif len(numbers) == 3:
-            word = _LAST_WORD.search(line[: key.start()]) if name.lower() in _QUANTITIES else None
+            word = _PATTERN["last_word"].search(line[: key.start()]) if name.lower() in _QUANTITIES else None
             name = f"{word[1]} {name}" if word else name  # `Angular Velocity: (…)`
             values |= {f"{name}_{axis}{unit}": number for axis, number in zip("xyz", numbers, strict=True)}
     return values
@@ -233,11 +208,11 @@ def _samples(lines: Iterable[str]) -> Iterator[tuple[dict[str, str], int]]:
     for line in lines:
         indent = len(line) - len(line.lstrip())
         titles = [(at, name) for at, name in titles if at < indent]
-        title = _TITLE.fullmatch(line.rstrip())
+        title = _PATTERN["title"].fullmatch(line.rstrip())
         if title is not None:
             titles.append((indent, title[1]))
             continue
-        unit = _LAST_UNIT.search(line[:_LONGEST_LINE])  # of all numbers in the line
+        unit = _PATTERN["last_unit"].search(line[:_LONGEST_LINE])  # of all numbers in the line
         prefix, suffix = "".join(f"{name}_" for _, name in titles), f" [{unit[1]}]" if unit else ""
         values = {f"{prefix}{name}{suffix}": number for name, number in values_by_name(line).items()}
         if values.keys() & sample.keys():
@@ -249,15 +224,14 @@ def _samples(lines: Iterable[str]) -> Iterator[tuple[dict[str, str], int]]:
 
 # -------------------- marks between thousands --------------------
 
-_THOUSANDS = re.compile("(?<=\\d)['’\u00a0\u202f](?=\\d{3}(?!\\d))")
-_QUOTED_THOUSANDS = re.compile(r'"(-?\d{1,3}(?:,\d{3})+(?:\.\d*)?)"')
-
 
 def thousands(lines: Sequence[str]) -> TextForm | None:
     """Return the form of numbers with marks between their thousands, 1'000 or "1,000"."""
 
     def plain(line: str) -> str:
-        return _QUOTED_THOUSANDS.sub(lambda number: number[1].replace(",", ""), _THOUSANDS.sub("", line))
+        return _PATTERN["quoted_thousands"].sub(
+            lambda number: number[1].replace(",", ""), _PATTERN["thousands"].sub("", line)
+        )
 
     if sum(plain(line) != line for line in lines) <= 1:
         return None
@@ -268,7 +242,6 @@ def thousands(lines: Sequence[str]) -> TextForm | None:
 # -------------------- a line for each sensor --------------------
 
 _UNNAMED = ("time", "x", "y", "z")
-_IMU = re.compile(r"imu\d?", re.IGNORECASE)
 
 
 def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
@@ -286,12 +259,12 @@ def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
             2 <= len(words) <= _MOST_SENSORS
             and 4 * changes > len(column)
             and not any(not word or dialect.is_number(word) or is_clock(word) for word in words)
-            and any(SENSOR_WORDS[ACCEL].search(word) or _IMU.fullmatch(word) for word in words)
+            and any(NAMED[ACCEL].search(word) or _PATTERN["imu"].fullmatch(word) for word in words)
         ):
             break  # alternating names of sensors
     else:
         return None
-    imu_words = {word for word in words if _IMU.fullmatch(word)}
+    imu_words = {word for word in words if _PATTERN["imu"].fullmatch(word)}
     names = [name for j, name in enumerate(top.names) if imu_words or j != label] if dialect.header else []
     if not (imu_words or names):
         names = list(_UNNAMED)

@@ -1,8 +1,9 @@
-"""A log of unknown origin, with its files, their dialect and its columns by kind, and the draft of a session for it."""
+"""A log of unknown origin, with its files, their dialect and its columns by kind, statements of the user about it, and
+the draft of a session for it."""
 
 from __future__ import annotations
 
-import re
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -13,12 +14,15 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from tumble.drafting.times import ASSUMED_RATE, Stamps, Times, at_rate, times_of_column, times_without_column
+from tumble.diagnosis.turn_likelihood import WIDTHS, Widths
+from tumble.drafting.times import Stamps, Times, times_of_column, times_without_column
 from tumble.errors import GyrosAloneError, InputError, LogError, did_you_mean
+from tumble.programme.positions import programmes
 from tumble.recording.columns.names import (
     ACCEL,
     GYRO,
     MAGNETOMETER,
+    NAMED,
     TIME_KIND,
     Columns,
     Sensors,
@@ -26,7 +30,7 @@ from tumble.recording.columns.names import (
     time_unit,
     unit_of_name,
 )
-from tumble.recording.columns.numbers import differ_in_axis_alone
+from tumble.recording.columns.numbers import differ_in_axis_alone, time_by_data
 from tumble.recording.columns.scales import CANDIDATES
 from tumble.recording.log_source import LogSource
 from tumble.recording.readers import source_of
@@ -34,35 +38,88 @@ from tumble.recording.rows.gaps import is_reading
 from tumble.recording.rows.timed import past_midnight
 from tumble.recording.session import USUAL_RATE_U, Session
 from tumble.recording.session_file import session_of, session_of_gyros
-from tumble.recording.text.dialect import Dialect, is_clock
+from tumble.recording.text.clock import is_clock
+from tumble.recording.text.dialect import Dialect
 from tumble.reduction.blocks.tuning import USUAL
-from tumble.units import Array
+from tumble.units import ACCEL_UNITS, GYRO_UNITS, Array
 
 LONGEST = 2_000_000  # rows that are read to identify a log
 HEAD_ROWS = 20_000
 SAMPLE_ROWS = 200
 SHOWN_NAMES = 12  # in a message
-_GRAVITY = re.compile("grav", re.IGNORECASE)
-_LINEAR = re.compile(r"(user|free|linear)_?acc(?!.*cov)|\blacc", re.IGNORECASE)
+_REFUSALS = tomllib.loads(Path(__file__).with_name("refusals.toml").read_text(encoding="utf-8"))
 _GRAVITY_TOLERANCE = 0.1  # of gravity
 _FEWEST_ROWS = 50
 _SHORTEST_SESSION = 4 * USUAL.rest  # s, the time of four rests; fewer determine nothing
 
-StatedColumns = Mapping[str, Sequence[str]]
-"""Columns by role: three for "accel" and for "gyro", one for "time"."""
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Given:
+    """Statements of the user about a log.
+
+    `latitude` is in °, `height` in m, `sample_rate` in Hz; `message` names a message of a recording; columns are names
+    or numbers from 1. Raises InputError for numbers and programmes that cannot be."""
+
+    serial: str | None = None
+    latitude: float | None = None
+    height: float | None = None
+    sample_rate: float | None = None
+    programme: str | None = None
+    message: str | None = None
+    accel: Sequence[str] = ()
+    gyro: Sequence[str] = ()
+    time: str | None = None
+    accel_unit: str | None = None
+    gyro_unit: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.programme is not None and self.programme not in programmes():
+            raise InputError(f"--programme: expected one of {', '.join(programmes())}, found {self.programme!r}")
+        for option, number, least, most, words in (
+            ("latitude", self.latitude, -90.0, 90.0, "from -90 to 90"),
+            ("height", self.height, -1000.0, 10000.0, "from -1000 to 10000, m"),
+            ("sample-rate", self.sample_rate, 1e-6, 1e9, "from 1e-6 to 1e9 (Hz)"),
+        ):
+            if number is not None and not least <= number <= most:
+                raise InputError(f"--{option}: expected a number {words}, found {number:g}")
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Stated units by kind of sensor. Raises InputError for units that session.toml lacks."""
+        out = {}
+        for kind, unit, units in ((ACCEL, self.accel_unit, ACCEL_UNITS), (GYRO, self.gyro_unit, GYRO_UNITS)):
+            if unit is not None:
+                out[kind] = unit if unit in units else unit_of_name(kind, f"x [{unit}]") or ""
+                if not out[kind]:
+                    hint = did_you_mean(unit, units)
+                    raise InputError(f"--{kind}-unit: expected one of {', '.join(units)}, found {unit!r}{hint}")
+        return out
+
+    @property
+    def columns(self) -> dict[str, Sequence[str]]:
+        """Stated columns by role."""
+        stated = {ACCEL: self.accel, GYRO: self.gyro, TIME_KIND: () if self.time is None else (self.time,)}
+        return {kind: columns for kind, columns in stated.items() if columns}
+
+    @property
+    def options(self) -> list[str]:
+        """Options by which columns and units are stated."""
+        return [f"--{option}" for option in (*self.columns, *(f"{kind}-unit" for kind in self.units))]
+
+
+NOTHING_GIVEN = Given()
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class ForeignLog:
     """Files in one dialect, with identified columns.
 
-    `keys` are the keys of [log] that describe the text, `preamble` the lines above the numbers that are neither names
-    nor units, `cells` the first rows by column, `remarks` and `doubts` sentences for the user, `instance` the column
-    that separates several devices in the rows, with the value of the one that is read, and `kept` the readers already
-    opened, by path."""
+    `preamble` are the lines above the numbers that are neither names nor units, `cells` the first rows by column,
+    `remarks` and `doubts` sentences for the user, `dialect` how a text is written, None for plain CSV files, `instance`
+    the column that separates several devices in the rows, with the value of the one that is read, and `kept` the
+    readers already opened, by path."""
 
     files: tuple[Path, ...]
-    keys: Mapping[str, Any]
     columns: Columns
     preamble: tuple[str, ...] = ()
     cells: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -88,6 +145,20 @@ class ForeignLog:
     def names(self) -> tuple[str, ...]:
         """Names of the columns of the first file."""
         return next(self.sources()).names
+
+    @property
+    def numeric(self) -> list[str]:
+        """Names of the columns of numbers."""
+        if not self.cells:
+            schema = pl.scan_parquet(self.files[0], glob=False).collect_schema()
+            return [name for name, kind in schema.items() if kind.is_numeric()]
+        is_number = (self.dialect or Dialect()).is_number
+        return [name for name, cells in self.cells.items() if sum(map(is_number, cells)) > len(cells) // 2]
+
+    def time_by_data(self) -> str | None:
+        """Return a column of numbers that grows like a time, by its name no counter and no sensor; None without."""
+        names = [n for n in self.numeric if n not in self.columns.sensors and not NAMED["counter"].fullmatch(n)]
+        return time_by_data(names, self.read(names, rows=LONGEST // 10)) if names else None
 
     @property
     def unnamed(self) -> bool:
@@ -193,10 +264,11 @@ class ForeignLog:
             return []
         return [each for each in (times, *times.rivals) if each.stamped]
 
-    def with_stated(self, stated: StatedColumns, units: Mapping[str, str]) -> ForeignLog:
+    def with_stated(self, given: Given) -> ForeignLog:
         """Assign sensors and time as the user states them, by column name or number from 1, and their units.
 
         A stated column loses any other role. Raises InputError for a column that does not exist."""
+        stated = given.columns
         columns = {kind: tuple(self._column(kind, c.strip()) for c in listed) for kind, listed in stated.items()}
         taken = [c for listed in columns.values() for c in listed]
         for kind, listed in columns.items():
@@ -209,7 +281,7 @@ class ForeignLog:
         for kind in columns.keys() - {TIME_KIND}:
             x, y, z = columns[kind]
             triads[kind] = Sensors(columns=(x, y, z), unit=unit_of_name(kind, x))
-        triads |= {kind: replace(triads[kind], unit=unit) for kind, unit in units.items() if kind in triads}
+        triads |= {kind: replace(triads[kind], unit=unit) for kind, unit in given.units.items() if kind in triads}
         if not taken:
             return self.with_columns(triads=triads)
         time = columns.get(TIME_KIND, (None if named.time in taken else named.time,))[0]
@@ -246,67 +318,63 @@ class ForeignLog:
                 f"{self.files[0]}: expected a recording, found a table of {rows} rows; a table of mean readings, a row "
                 f"a position, is calibrated by `tumble ellipsoid {name}`"
             )
-        if ACCEL not in triads and (linear := list(filter(_LINEAR.search, names))):
+        if ACCEL not in triads and (linear := list(filter(NAMED["linear_acceleration"].search, names))):
             raise linear_acceleration(self.files[0], linear)
         if ACCEL in triads or (gyros_suffice and GYRO in triads):
             return
-        found, field = ", ".join(names[:SHOWN_NAMES])[:200], triads.get(MAGNETOMETER)
-        expected = "columns named as accelerometers are, such as ax, ay, az or acc_x, acc_y, acc_z"
-        remedy = "log the readings of the accelerometers too"
-        if GYRO in triads:
-            found = f"gyros alone ({', '.join(triads[GYRO].columns)[:120]})"
-            remedy += f"; of gyros alone tumble calibrate {name} tells the biases, tumble noise the noise"
-        elif field is not None and sum(not is_no_sensor(n) for n in names if n not in field.columns) < 3:
-            expected, found = "readings of accelerometers", f"a magnetometer alone ({', '.join(field.columns)[:120]})"
-            remedy = "log the accelerometers in the same rows; tumble calibrate calibrates the magnetometer with them"
-        elif len(names) == 3 and all(map(str.isdecimal, names)):
-            expected, found = "a recording", "three columns without names that are no sensor by their numbers"
-            remedy = "of a table with a row a position write `x,y,z` above the rows and give it to `tumble ellipsoid`"
-        elif any(map(_GRAVITY.search, names)):
-            expected = "readings of accelerometers"
-            found = f"gravity, which a filter has made of them ({found[:120]})"
-            remedy = "log the raw accelerometers"
-        elif sum(not is_no_sensor(n) for n in names) >= 3:
-            remedy = "state which they are (--accel N,N,N, names or numbers from 1)"
-        sensors = [column for triad in triads.values() for column in triad.columns]
+        sensors = list(self.columns.sensors)
         known = {self.columns.time, *self.columns.temperatures, *sensors}
         unknown = [name for name in names if name not in known and not is_no_sensor(name)]
-        if GYRO in triads and len(unknown) >= 3 and differ_in_axis_alone(unknown[:3]):
-            found += f" and columns that are not understood ({', '.join(unknown[:SHOWN_NAMES])[:120]})"
-            remedy = f"state the accelerometers (--accel {','.join(unknown[:3])})"
-            raise InputError(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
-        kind = GyrosAloneError if GYRO in triads else InputError
-        raise kind(f"{self.files[0]}: expected {expected}; found {found}; {remedy}")
+        others = [name for name in names if not is_no_sensor(name)]
+        kind = "unknown" if len(others) >= 3 else "nothing"
+        if GYRO in triads:
+            understood = len(unknown) < 3 or not differ_in_axis_alone(unknown[:3])
+            kind, sensors = "gyros" if understood else "gyros and unknown", list(triads[GYRO].columns)
+        elif MAGNETOMETER in triads and len({*others} - {*triads[MAGNETOMETER].columns}) < 3:
+            kind = "magnetometer"
+        elif len(names) == 3 and all(map(str.isdecimal, names)):
+            kind = "three columns"
+        elif any(map(NAMED["gravity"].search, names)):
+            kind = "gravity"
+        words = {
+            "names": ", ".join(names[:SHOWN_NAMES])[:200],
+            "sensors": ", ".join(sensors)[:120],
+            "unknown": ", ".join(unknown[:SHOWN_NAMES])[:120],
+            "first": ",".join(unknown[:3]),
+            "file": name,
+        }
+        said = "expected {expected}; found {found}; {remedy}".format(**_REFUSALS[kind]).format(**words)
+        raise (GyrosAloneError if kind == "gyros" else InputError)(f"{self.files[0]}: {said}")
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(kw_only=True, slots=True)
 class Draft:
-    """Known content of a session.toml, and how each part was found.
+    """The content of a session.toml as far as it is known, with remarks on how each part was found.
 
-    `doubts` are uncertainties, each with its consequence and the option that settles it. `magnetometer` is the table
-    [log.magnetometer], written as a comment because nearby iron disturbs its readings. `whole` is True for kinds of
-    sensors that read whole numbers only; `rate` is in Hz. `magnitude` is the median length of accelerometer readings in
-    the first rows, `largest` that of large gyro readings, both as written; `step` is the resolution of a data sheet,
-    °/s, of which their readings are multiples. `kept` are readers of files by path."""
+    `doubts` are uncertainties, each with its consequence and the option that settles it. `source` is the log, `given`
+    what the user states about it, `times` are those of its rows. `widths` are the standard deviations of the cost of
+    hypotheses. `magnetometer` is the table [log.magnetometer], written as a comment because nearby iron disturbs
+    its readings."""
 
-    content: Mapping[str, Any]
-    remarks: tuple[str, ...]
+    source: ForeignLog
+    times: Times
+    content: dict[str, Any]
+    remarks: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
-    magnetometer: Mapping[str, Any] | None = None
-    triads: Mapping[str, Sensors] = field(default_factory=dict)
-    times: Times = field(default_factory=lambda: at_rate(ASSUMED_RATE, 0.0))
-    whole: Mapping[str, bool] = field(default_factory=dict)
-    rate: float = 1.0
-    magnitude: float = 1.0
-    largest: float = 0.0
-    step: float | None = None
-    kept: Mapping[Path, LogSource] = field(default_factory=dict)
+    magnetometer: dict[str, Any] | None = None
+    given: Given = NOTHING_GIVEN
+    widths: Widths = WIDTHS
 
     @property
-    def log(self) -> Mapping[str, Any]:
+    def log(self) -> dict[str, Any]:
         """The table [log]."""
-        table: Mapping[str, Any] = self.content["log"]
+        table: dict[str, Any] = self.content["log"]
         return table
+
+    @property
+    def rate(self) -> float:
+        """Sample rate, Hz."""
+        return self.times.rate
 
     @property
     def rate_guessed(self) -> bool:
@@ -319,14 +387,26 @@ class Draft:
         file = self.log["file"]
         return tuple(map(Path, [file] if isinstance(file, str) else file))
 
+    @property
+    def triads(self) -> dict[str, Sensors]:
+        """Accelerometers and gyros."""
+        triads = self.source.columns.triads
+        return {kind: triads[kind] for kind in (ACCEL, GYRO) if kind in triads}
+
+    def say(self, *remarks: str) -> None:
+        """Add remarks."""
+        self.remarks += remarks
+
     def unit(self, kind: str) -> str | None:
         """Return the unit in the column names of a kind of sensor."""
         return self.triads[kind].unit
 
-    def session(self) -> Session:
-        """Return the session of the content, without reading files again."""
-        session = session_of(self.content) if "accel" in self.log else session_of_gyros(self.content)
-        files = tuple(self.kept.get(Path(str(file)), file) for file in session.log.files)
+    def session(self, **log: Any) -> Session:
+        """Return the session of the content, with other keys of [log], None for none, without reading files again."""
+        table = {key: value for key, value in {**self.log, **log}.items() if value is not None}
+        content = {**self.content, "log": table}
+        session = session_of(content) if ACCEL in table else session_of_gyros(content)
+        files = tuple(self.source.kept.get(Path(str(file)), file) for file in session.log.files)
         return replace(session, log=replace(session.log, files=files))
 
 

@@ -7,7 +7,7 @@ numbers over a turn of one radian. Its cost is −2 ln of its probability, up to
     (ln L/L_h)² / s²  +  min over δ of [turns(ln Q_h + δ) + δ²/s²]  +  implausible readings  +  assumptions,
 
 with s the usual scale error of a device. The cost of an assumption follows from the frequency of units, counts and
-rates in logs that do not state them (`recording/columns/scales.py`, `drafting/times.py`); a unit in a column's name is
+rates in logs that do not state them (`recording/columns/guesses.toml`); a unit in a column's name is
 certain. A scale or rate that is in no table is taken from the measurement, at the cost of its prior: the density of a
 Gaussian of width s relative to a uniform one over the orders of magnitude that were possible, 2 ln(range / (s √2π)).
 
@@ -20,9 +20,11 @@ moments of about 1 g in motion take their place.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
@@ -36,8 +38,8 @@ from tumble.diagnosis.turn_likelihood import (
     least_cost,
     turn_likelihoods,
 )
-from tumble.drafting.foreign_log import Draft
-from tumble.drafting.times import ASSUMED_RATE, RATE_LIMITS, UNUSUAL_SHARE, USUAL_RATES, Times, at_rate
+from tumble.drafting.foreign_log import HEAD_ROWS, Draft
+from tumble.drafting.times import ASSUMED_RATE, RATE_LIMITS, UNLISTED_SHARE, USUAL_RATES, Times, at_rate
 from tumble.errors import TumbleError
 from tumble.recording.columns.names import ACCEL, GYRO
 from tumble.recording.columns.numbers import MIDDLES
@@ -45,10 +47,11 @@ from tumble.recording.columns.scales import (
     CANDIDATES,
     COUNTS_PER_SI,
     FASTEST,
-    FREQUENCIES,
+    PRIORS,
     SCALE_TOLERANCE,
     UNLISTED_COUNTS,
     SensorScale,
+    resolution_in_deg_s,
 )
 from tumble.recording.log import open_log
 from tumble.reduction.blocks.reducer import Reduction, reduce_log
@@ -71,23 +74,19 @@ _VERTICAL_IN_MOTION, _TURN_IN_MOTION = 0.15, 1.5
 """Standard deviation of a vertical in motion, rad: 1.5 m/s² of a hand; s between two verticals."""
 _UNEVEN, _CENTRE_STEPS = 0.01, 4
 """Relative differences of readings of one g between attitudes, without offsets; number of Gauss–Newton steps."""
+_FAST_QUANTILE = 0.99  # of the largest readings of gyros in the first rows, without single outliers
 _TURN_QUANTILE = 0.8  # of the readings in a turn; it represents the middle of the turn
 _RATE_FACTORS = 0.25, 1.0, 4.0
 """Multiples of the assumed rate at which rests are sought if the rate is unclear; too high a rate shortens rests."""
 _LN_RATE_RANGE = math.log(RATE_LIMITS[1] / RATE_LIMITS[0])
 COUNTS = SensorScale(value=1.0, shares=(1.0, 1.0))
 """Counts of unknown scale, of gyros in a recording without turns."""
-_ZERO = 0.1  # of gravity: standard deviation of the zero of accelerometers in a unit
-_NAMED_RAW_SHARE = 0.1  # share of sensors named as raw that are in a unit, such as `gyroADC` of Betaflight
+_PRIOR = SimpleNamespace(**PRIORS["readings"])
+"""Standard deviations, shares and costs."""
 _FEWEST_COUNTS = 2.0  # per g, of accelerometers in counts
-_HOPELESS = 40.0  # units of accelerometers that cost this much more than the best are not combined with gyro hypotheses
 _LARGEST_BIAS, _LARGEST_NOISE = 20.0 * DEGREE, 0.17 * DEGREE  # rad/s, of small gyros; noise in a mean over a second
-_LN_EXCESS = 0.25  # standard deviation of ln(reading / limit) for readings beyond a limit
-_MOST_EXCESS_COST = 12.0  # a motion that the accelerometers do not show may be the cause
 SHORTEST_REST = 0.6  # s, at the median
 _TABLE_NOISE = 0.015  # m/s² in a mean over a second; a hand or a running machine has more
-_TOO_FAST_COST, _RESOLUTION_COST = 30.0, -12.0
-"""Readings beyond the range of any gyro; readings that are multiples of a resolution of data sheets in °/s."""
 
 
 # -------------------- evidence of rests and turns --------------------
@@ -98,22 +97,27 @@ class Evidence:
     """Length of gravity, readings at rest and turns of a recording, in raw numbers, with durations counted at `rate`.
 
     `rate` is in Hz. `length` is that of gravity, `length_u` its relative standard uncertainty, `zero` the offset of the
-    accelerometers; `rests` and `turns` are numbers. Each rest has the readings of the gyros `gyro` (N, 3), a number of
-    `samples` (N,) and the scatter of a sample, for accelerometers relative to gravity. `turning` is the typical reading
-    of the gyros in a turn, `profiles` the likelihoods of the turns, the first with the columns unchanged."""
+    accelerometers; `rests` and `turns` are numbers. Each rest has the readings of the gyros `gyro` (N, 3); `samples` is
+    the median of their numbers of samples. The scatter is that of a sample, for accelerometers relative to gravity.
+    `turning` is the typical reading of the gyros in a turn, `profiles` the likelihoods of the turns, the first with the
+    columns unchanged. Of the first rows, `whole` is True for kinds of sensors that read whole numbers only, `largest`
+    is a large reading of the gyros, and `step` the resolution of a data sheet, °/s, of which they are multiples."""
 
     rate: float
     length: float
-    length_u: float
+    length_u: float = _LENGTH_IN_MOTION_U
     rests: int = 0
     turns: int = 0
     zero: Sequence[float] = (0.0, 0.0, 0.0)
     gyro: Array = field(default_factory=lambda: np.empty((0, 3)))
-    samples: Array = field(default_factory=lambda: np.empty(0))
+    samples: float = math.inf
     accel_scatter: float = 0.0
     gyro_scatter: float = 0.0
     turning: float = 0.0
     profiles: tuple[TurnLikelihood, ...] = ()
+    whole: Mapping[str, bool] = field(default_factory=dict)
+    largest: float = 0.0
+    step: float | None = None
 
     @property
     def bias(self) -> Array:
@@ -131,40 +135,48 @@ class Evidence:
         return min((p.least for p in self.profiles), default=0.0) < 0.5 * least_cost(self.turns, vertical)
 
 
-def gather_evidence(draft: Draft, progress: Progress, widths: Widths = WIDTHS) -> Evidence:
+def gather_evidence(draft: Draft, progress: Progress) -> Evidence:
     """Return the evidence of a draft's log.
 
     If the rate is unclear, rows are counted instead of times, and rests are sought with windows for several rates. The
     chosen trial has the turns that noise explains least, or the most rests."""
-    log = {key: value for key, value in draft.log.items() if key != "temperature"}
-    ratio, factors = draft.times.rate / ASSUMED_RATE, [1.0]
+    head = {kind: draft.source.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in draft.triads.items()}
+    whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in head.items()}
+    rates = head[GYRO][np.isfinite(head[GYRO]).all(axis=1)] if GYRO in head else np.empty((0, 3))
+    unread = Evidence(
+        rate=draft.rate,
+        length=draft.source.magnitude(next(iter(draft.triads.values())).columns),
+        whole=whole,
+        largest=float(np.quantile(np.abs(rates).max(axis=1), _FAST_QUANTILE)) if len(rates) else 0.0,
+        step=resolution_in_deg_s(head[GYRO]) if GYRO in head and not whole[GYRO] else None,
+    )
+    ratio, factors, keys = draft.rate / ASSUMED_RATE, [1.0], dict[str, Any]()
     if draft.times.rivals:
-        log = {key: value for key, value in log.items() if key not in ("time", "time_unit", "regular")}
-        log["rate_hz"] = ASSUMED_RATE
+        keys = {"time": None, "time_unit": None, "regular": None, "rate_hz": ASSUMED_RATE}
         nominal = round(min(max(ratio, 0.05), 20.0), 2)
         factors = sorted({*_RATE_FACTORS, nominal}, key=lambda f: abs(np.log(f / ratio)))
-    session = replace(draft, content={**draft.content, "log": log}).session()
+    session = draft.session(temperature=None, **keys)
     try:
         opened = open_log(session)
         reduction = reduce_log(opened, session.accel_block, session.gyro_block, progress(opened))
     except (TumbleError, np.linalg.LinAlgError):
-        return Evidence(rate=draft.rate, length=draft.magnitude, length_u=_LENGTH_IN_MOTION_U)
+        return unread
+    unread = replace(unread, rate=reduction.rate)
     if ACCEL not in draft.triads:
         means = np.concatenate([file.accel.means for file in reduction.files])  # of gyros, mostly at rest
         middle = np.median(means, axis=0)
         scatter = 1.4826 * float(np.median(np.abs(means - middle))) * math.sqrt(reduction.files[0].size)
-        unknown = Evidence(rate=reduction.rate, length=1.0, length_u=_LENGTH_IN_MOTION_U)
-        return replace(unknown, gyro=middle[None], gyro_scatter=scatter)
-    trials = [_evidence_at(reduction, factor, draft.magnitude, widths) for factor in factors]
+        return replace(unread, length=1.0, gyro=middle[None], gyro_scatter=scatter)
+    trials = [_evidence_at(reduction, factor, unread, draft.widths) for factor in factors]
     best = max(trials, key=lambda t: (max((p.unturned - p.least for p in t.profiles), default=0.0), t.rests))
-    if best.rests >= FEWEST_RESTS or best.is_good(widths.vertical):
+    if best.rests >= FEWEST_RESTS or best.is_good(draft.widths.vertical):
         return best
-    moving = _evidence_in_motion(reduction, best, widths)
+    moving = _evidence_in_motion(reduction, best, draft.widths)
     return moving if moving.turns >= FEWEST_RESTS and moving.is_good(_VERTICAL_IN_MOTION) else best
 
 
-def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: Widths) -> Evidence:
-    """Return the evidence with rests sought in windows `factor` times as long; without rests gravity is `magnitude`."""
+def _evidence_at(reduction: Reduction, factor: float, unread: Evidence, widths: Widths) -> Evidence:
+    """Return the evidence with rests sought in windows `factor` times as long; that of the first rows without rests."""
     durations = (f.name for f in fields(Tuning) if f.metadata["unit"] == "s")
     tuning = replace(USUAL, **{name: factor * getattr(USUAL, name) for name in durations})
     channels, files = (*reduction.accel_channels, *reduction.gyro_channels), reduction.by_file
@@ -174,7 +186,7 @@ def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: 
             rests = find_rests(replace(reduction, tuning=tuning), _TRIAD, None).rests
         spans = tuple(s for s in rests if files[s.file].accel.means[s.first : s.last].any())
     if not spans:
-        return Evidence(rate=reduction.rate, length=magnitude, length_u=_LENGTH_IN_MOTION_U)
+        return unread
     accel = [files[s.file].accel.means[s.first : s.last] for s in spans]
     gyro = [files[s.file].gyro.means[s.first : s.last] for s in spans]
     length, length_u, zero, gravity = length_and_zero(np.array([blocks.mean(axis=0) for blocks in accel]), widths)
@@ -184,14 +196,14 @@ def _evidence_at(reduction: Reduction, factor: float, magnitude: float, widths: 
     for rests_of_kind in (accel, gyro):
         block_scatter = [np.sqrt(blocks.var(axis=0).mean()) for blocks in rests_of_kind if blocks.size]
         scatters.append(float(np.median(block_scatter)) * np.sqrt(reduction.files[0].size) if block_scatter else 0.0)
-    at_rest = Evidence(
-        rate=reduction.rate,
+    at_rest = replace(
+        unread,
         rests=len(spans),
         length=length,
         zero=zero,
         length_u=length_u,
         gyro=rates,
-        samples=np.array([(s.last - s.first) * files[s.file].size for s in spans]),
+        samples=float(np.median([(s.last - s.first) * files[s.file].size for s in spans])),
         accel_scatter=scatters[0] / max(length, 1e-300),
         gyro_scatter=scatters[1],
     )
@@ -302,30 +314,30 @@ class Hypothesis:
         return {part for part, different in parts.items() if different}
 
 
-def ranked_hypotheses(evidence: Evidence, draft: Draft, widths: Widths = WIDTHS) -> list[Hypothesis]:
+def ranked_hypotheses(evidence: Evidence, draft: Draft) -> list[Hypothesis]:
     """Return all hypotheses about a log in the order of their cost."""
+    widths = draft.widths
     deviation = math.hypot(widths.scale, evidence.length_u)
     has_accel = ACCEL in draft.triads
-    accels = list(_assumed_scales(ACCEL, draft, cost_of_free_scale(deviation))) if has_accel else [(COUNTS, 0.0)]
-    gyros = list(_assumed_scales(GYRO, draft, cost_of_free_scale(widths.scale))) if GYRO in draft.triads else []
+    accels = list(_assumed_scales(ACCEL, draft, evidence, deviation)) or [(COUNTS, 0.0)]
+    gyros = list(_assumed_scales(GYRO, draft, evidence, widths.scale))
     if not evidence.profiles:  # nothing determines the scale of counts
         listed = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.listed)
         in_units = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
         gyros = [*([(COUNTS, -2.0 * math.log(listed))] if listed else []), *in_units]
-    if has_accel and draft.whole[ACCEL] and evidence.length < _FEWEST_COUNTS:
+    if has_accel and evidence.whole[ACCEL] and evidence.length < _FEWEST_COUNTS:
         accels = [(accel, cost) for accel, cost in accels if accel.unit is not None] or accels
     unit_stated = has_accel and ACCEL_UNITS[draft.unit(ACCEL) or "count"].kind != "raw"
-    samples = float(np.median(evidence.samples)) if evidence.rests else np.inf
     hypotheses = []
     for profile in evidence.profiles or (None,):
-        for times, gyro, gyro_cost in _gyro_trials(draft, evidence, gyros, profile, widths):
-            short_rests = math.log(max(SHORTEST_REST * times.rate / samples, 1.0)) / _LN_EXCESS
+        for times, gyro, gyro_cost in _gyro_trials(draft, evidence, gyros, profile):
+            short_rests = math.log(max(SHORTEST_REST * times.rate / evidence.samples, 1.0)) / _PRIOR.excess
             accel_trials = []
             for accel, assumption in accels:
                 scale = accel if accel.listed else replace(accel, value=evidence.length)
                 off = math.log(evidence.length / scale.reading(times.rate)) / deviation
-                zero = max(map(abs, evidence.zero)) / (_ZERO * evidence.length) if accel.unit else 0.0
-                pairs = FREQUENCIES["pairs"].get(accel.unit or "count", {})
+                zero = max(map(abs, evidence.zero)) / (_PRIOR.zero * evidence.length) if accel.unit else 0.0
+                pairs = PRIORS["pairs"].get(accel.unit or "count", {})
                 paired = has_accel and gyro is not None and gyro.listed
                 odds = pairs.get(gyro.unit or "count", 1.0) if paired and gyro is not None else 1.0
                 misfit = 0.0 if unit_stated and accel.unit else off**2 + zero**2
@@ -335,7 +347,7 @@ def ranked_hypotheses(evidence: Evidence, draft: Draft, widths: Widths = WIDTHS)
             hypotheses += [
                 Hypothesis(accel=accel, gyro=gyro, times=times, profile=profile, cost=common + cost)
                 for accel, cost in accel_trials
-                if cost < least + _HOPELESS
+                if cost < least + _PRIOR.hopeless
             ]
     return sorted(hypotheses, key=lambda hypothesis: hypothesis.cost)
 
@@ -345,13 +357,12 @@ def _gyro_trials(
     evidence: Evidence,
     gyros: list[tuple[SensorScale, float]],
     profile: TurnLikelihood | None,
-    widths: Widths,
 ) -> Iterator[tuple[Times, SensorScale | None, float]]:
     """Yield times and gyro scales with the cost of turns, readings and assumptions.
 
     If the rate is unknown, the rate at which the turns fit a unit best is also tried; and with time stamps, that a unit
     in a name is wrong: its name stays, and the calibration refuses it with the unit that fits."""
-    assumed_times = (draft.times, *draft.times.rivals)
+    widths, assumed_times = draft.widths, (draft.times, *draft.times.rivals)
     nominal = None if profile is None else profile.of_nominal(widths.scale)
     if not gyros:
         yield from ((times, None, 0.0) for times in assumed_times)
@@ -361,7 +372,7 @@ def _gyro_trials(
         if profile is not None and free_rate is not None and gyro.unit is not None and not gyro.increment:
             rate = profile.found() * DEGREE / gyro.value
             if RATE_LIMITS[0] <= rate <= RATE_LIMITS[1]:
-                cost = free_rate - 2.0 * math.log(UNUSUAL_SHARE) + cost_of_free_scale(widths.scale, _LN_RATE_RANGE)
+                cost = free_rate - 2.0 * math.log(UNLISTED_SHARE) + cost_of_free_scale(widths.scale, _LN_RATE_RANGE)
                 trials = (*assumed_times, at_rate(float(f"{rate:.4g}"), cost))
         for times in trials:
             scale, cost = gyro, assumption
@@ -370,20 +381,24 @@ def _gyro_trials(
             if nominal is not None:
                 cost += nominal.at(math.log(scale.reading(times.rate) * times.rate / DEGREE))
             if profile is not None or gyro.unit is not None:
-                cost += _cost_of_readings(evidence, scale, times.rate, draft, widths)
+                cost += _cost_of_readings(evidence, scale, times.rate, widths)
             yield times, scale, cost
         if nominal is not None and draft.times.stamped and draft.unit(GYRO) == gyro.unit is not None:
             for others in (o for o in CANDIDATES[GYRO] if o.unit not in (None, gyro.unit) and not o.increment):
-                cost = nominal.at(math.log(others.reading(draft.times.rate) * draft.times.rate / DEGREE))
-                cost += _cost_of_readings(evidence, others, draft.times.rate, draft, widths)
+                cost = nominal.at(math.log(others.reading(draft.rate) * draft.rate / DEGREE))
+                cost += _cost_of_readings(evidence, others, draft.rate, widths)
                 yield draft.times, gyro, cost - 2.0 * math.log(widths.named_wrongly)
 
 
-def _assumed_scales(kind: str, draft: Draft, unlisted: float) -> Iterator[tuple[SensorScale, float]]:
-    """Yield the units and counts that sensors may have, each with the cost of the assumption.
+def _assumed_scales(
+    kind: str, draft: Draft, evidence: Evidence, deviation: float
+) -> Iterator[tuple[SensorScale, float]]:
+    """Yield the units and counts that sensors may have, each with the cost of the assumption; none without sensors.
 
     A unit in a name is certain; a name of raw numbers makes counts likelier. Counts in no data sheet may have any
-    scale, at the cost `unlisted`."""
+    scale, at the cost of one with this standard `deviation`."""
+    if kind not in draft.triads:
+        return
     units, name = {ACCEL: ACCEL_UNITS, GYRO: GYRO_UNITS}[kind], draft.unit(kind)
     if name is not None and units[name].kind != "raw":
         one = COUNTS_PER_SI[kind] / units[name].factor
@@ -392,12 +407,12 @@ def _assumed_scales(kind: str, draft: Draft, unlisted: float) -> Iterator[tuple[
         yield UNLISTED_COUNTS, 0.0
     else:
         for scale in (*CANDIDATES[kind], UNLISTED_COUNTS):
-            share = scale.shares[draft.whole[kind]]
-            share *= _NAMED_RAW_SHARE if name is not None and scale.unit is not None else 1.0
-            yield scale, -2.0 * math.log(share) + (0.0 if scale.listed else unlisted)
+            share = scale.shares[evidence.whole[kind]]
+            share *= _PRIOR.named_raw_share if name is not None and scale.unit is not None else 1.0
+            yield scale, -2.0 * math.log(share) + (0.0 if scale.listed else cost_of_free_scale(deviation))
 
 
-def _cost_of_readings(evidence: Evidence, gyro: SensorScale, rate: float, draft: Draft, widths: Widths) -> float:
+def _cost_of_readings(evidence: Evidence, gyro: SensorScale, rate: float, widths: Widths) -> float:
     """Return the cost of a gyro scale by the bias, noise, range, turning rate and resolution of the readings."""
     one, root = DEGREE / gyro.reading(rate), math.sqrt(rate)
     limits = [(float(np.linalg.norm(evidence.bias)), _LARGEST_BIAS)] if gyro.unit is not None else []
@@ -406,11 +421,11 @@ def _cost_of_readings(evidence: Evidence, gyro: SensorScale, rate: float, draft:
     cost = 0.0
     for value, limit in limits:
         if value * one > limit:
-            cost += min((math.log(value * one / limit) / _LN_EXCESS) ** 2, _MOST_EXCESS_COST)
-    if draft.largest * one > FASTEST:
-        cost += _TOO_FAST_COST
+            cost += min((math.log(value * one / limit) / _PRIOR.excess) ** 2, _PRIOR.most_excess)
+    if evidence.largest * one > FASTEST:
+        cost += _PRIOR.too_fast
     if evidence.turning:
         cost += (math.log(evidence.turning * one) / widths.turning) ** 2
-    if gyro.unit == "deg/s" and draft.step is not None:
-        cost += _RESOLUTION_COST
+    if gyro.unit == "deg/s" and evidence.step is not None:
+        cost += _PRIOR.resolution
     return cost

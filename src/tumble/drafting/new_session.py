@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,84 +24,30 @@ from tumble.drafting.columns import identify_log
 from tumble.drafting.conclusions import complete_draft
 from tumble.drafting.containers import check_format, files_of, unzipped
 from tumble.drafting.foreign_log import HEAD_ROWS, Draft, ForeignLog
+from tumble.drafting.foreign_log import NOTHING_GIVEN as NOTHING_GIVEN
+from tumble.drafting.foreign_log import Given as Given
 from tumble.drafting.repairs import repair_log
-from tumble.drafting.sensors_apart import CORE_MOTION, log_of_recording
-from tumble.errors import InputError, LogError, did_you_mean
+from tumble.drafting.sensors_apart import log_of_recording
+from tumble.errors import InputError, LogError
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
-from tumble.programme.positions import programmes
-from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, TIME_KIND, Sensors, temperature_unit, unit_of_name
-from tumble.recording.columns.scales import resolution_in_deg_s
-from tumble.recording.formats import PX4_CORRECTED, is_recording
+from tumble.recording.columns.names import (
+    ACCEL,
+    GYRO,
+    MAGNETOMETER,
+    NAMED,
+    Sensors,
+    temperature_unit,
+)
+from tumble.recording.columns.scales import PRIORS
+from tumble.recording.formats import MESSAGES, is_recording
 from tumble.recording.log import Log
 from tumble.recording.session import USUAL_RATE_U, AutopilotSensor, sensors_content
 from tumble.recording.session_file import SESSION_FILE
 from tumble.recording.text.dialect import DIALECT_KEYS
 from tumble.run.observed import Progress
-from tumble.units import ACCEL_UNITS, GYRO_UNITS, TEMPERATURE_UNITS
+from tumble.units import TEMPERATURE_UNITS
 
-_FAST_QUANTILE = 0.99  # of the magnitudes of the gyros, without single outliers
-_FIELDS = {"uT": (15.0, 150.0), "nT": (15e3, 150e3), "gauss": (0.15, 1.5), "T": (15e-6, 150e-6)}
-"""Magnetic fields on Earth, with iron nearby."""
-_PLAUSIBLE_TEMPERATURES = {"degC": (-80.0, 150.0), "K": (190.0, 430.0)}  # median of a recording
-_CORRECTED = {
-    "accelerometer_m_s2[0]": PX4_CORRECTED,
-    "accSmooth[0]": "Betaflight has corrected accSmooth by align_board_* and acc_calibration (iNav: acczero_*, "
-    "accgain_*): an export is wrong unless these were 0 (gains 4096) while recording",
-}
-"""Doubts by the name of a column."""
 _PX4_COUNTERS = ("accel_calibration_count", "gyro_calibration_count")
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Given:
-    """Statements of the user about a log.
-
-    `latitude` is in °, `height` in m, `sample_rate` in Hz; `message` names a message of a recording; columns are names
-    or numbers from 1. Raises InputError for numbers and programmes that cannot be."""
-
-    serial: str | None = None
-    latitude: float | None = None
-    height: float | None = None
-    sample_rate: float | None = None
-    programme: str | None = None
-    message: str | None = None
-    accel: Sequence[str] = ()
-    gyro: Sequence[str] = ()
-    time: str | None = None
-    accel_unit: str | None = None
-    gyro_unit: str | None = None
-
-    def __post_init__(self) -> None:
-        if self.programme is not None and self.programme not in programmes():
-            raise InputError(f"--programme: expected one of {', '.join(programmes())}, found {self.programme!r}")
-        for option, number, least, most, words in (
-            ("latitude", self.latitude, -90.0, 90.0, "from -90 to 90"),
-            ("height", self.height, -1000.0, 10000.0, "from -1000 to 10000, m"),
-            ("sample-rate", self.sample_rate, 1e-6, 1e9, "from 1e-6 to 1e9 (Hz)"),
-        ):
-            if number is not None and not least <= number <= most:
-                raise InputError(f"--{option}: expected a number {words}, found {number:g}")
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Stated units by kind of sensor. Raises InputError for units that session.toml lacks."""
-        out = {}
-        for kind, unit, units in ((ACCEL, self.accel_unit, ACCEL_UNITS), (GYRO, self.gyro_unit, GYRO_UNITS)):
-            if unit is not None:
-                out[kind] = unit if unit in units else unit_of_name(kind, f"x [{unit}]") or ""
-                if not out[kind]:
-                    hint = did_you_mean(unit, units)
-                    raise InputError(f"--{kind}-unit: expected one of {', '.join(units)}, found {unit!r}{hint}")
-        return out
-
-    @property
-    def columns(self) -> dict[str, Sequence[str]]:
-        """Stated columns by role."""
-        stated = {ACCEL: self.accel, GYRO: self.gyro, TIME_KIND: () if self.time is None else (self.time,)}
-        return {kind: columns for kind, columns in stated.items() if columns}
-
-
-NOTHING_GIVEN = Given()
 
 
 @checked
@@ -207,137 +152,118 @@ def drafted_log(
     for file in filter(Path.is_file, recordings):
         check_format(file, recording=True)
     if not recordings:
-        log = identify_log(files, folder, given.columns, given.units, given.message)
+        log = identify_log(files, folder, given)
         log.check_has_sensors(gyros_suffice=gyros_suffice)
-    elif given.columns or given.units:
-        options = [*given.columns, *(f"{kind}-unit" for kind in given.units)]
+    elif given.options:
         raise InputError(
-            f"--{', --'.join(options)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
+            f"{', '.join(given.options)}: expected a log of text or Parquet, found {recordings[0].name}, whose "
             "messages name their sensors; --message selects one"
         )
     elif len(recordings) < len(files):
         raise InputError(f"{recordings[0]}: expected one recording, found other files too; give each its own session")
     else:
         log, imu = log_of_recording(recordings, folder, given.message)
-    rate = given.sample_rate
-    draft = _draft_of_raw_numbers(repair_log(log, folder, rate), rate)
-    place = {"latitude_deg": given.latitude, "height_m": given.height}
-    site = {key: value for key, value in place.items() if value is not None}
+    draft = _draft_of_raw_numbers(repair_log(log, folder, given.sample_rate), given, widths)
     serial = given.serial or folder.path.resolve().name or "unknown"
-    device = {"serial": serial, **({"imu": sensors_content(imu)} if imu else {})}
-    draft = replace(draft, content={**draft.content, "device": device, "site": site})
+    draft.content["device"] = {"serial": serial} | ({"imu": sensors_content(imu)} if imu else {})
+    place = {"latitude_deg": given.latitude, "height_m": given.height}
+    draft.content["site"] = {key: value for key, value in place.items() if value is not None}
     draft.session()  # checks the content
-    draft, faults = complete_draft(draft, progress, widths, given.columns)
-    return _with_apple_sign(draft), faults
+    faults = complete_draft(draft, progress)
+    accel = draft.log.get(ACCEL, {"unit": None})
+    if accel["unit"] == "g" and all(map(NAMED["core_motion"].fullmatch, accel["columns"])):
+        # a recording cannot determine the sign, because gyros predict both directions of the vertical alike; source:
+        # Apple, CMAccelerometerData and CMMotionManager, Core Motion
+        counts = {"unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
+        draft.log[ACCEL] = {"columns": accel["columns"], **counts}
+        draft.say("accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g")
+    return draft, faults
 
 
 # -------------------- names and first numbers --------------------
 
 
-def _draft_of_raw_numbers(log: ForeignLog, rate: float | None) -> Draft:
+def _draft_of_raw_numbers(log: ForeignLog, given: Given, widths: Widths) -> Draft:
     """Return a draft from names and first numbers, with sensors as raw numbers."""
-    columns, times = log.columns, log.times(rate)
-    remarks, doubts = list(log.remarks), list(log.doubts)
-    for name, sentence in _CORRECTED.items():
+    columns, rate = log.columns, given.sample_rate
+    times = log.times(rate)
+    files = [str(file.resolve()) for file in log.files]
+    table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files}
+    table |= ({} if log.dialect is None else log.dialect.keys()) | times.keys
+    content = {"format": 1, "device": {"serial": "unknown"}, "log": table}
+    draft = Draft(
+        source=log, given=given, widths=widths, times=times, content=content, remarks=log.remarks, doubts=log.doubts
+    )
+    for name, sentence in MESSAGES["corrected"].items():
         counters = [c for c in _PX4_COUNTERS if c in log.names]  # of calibrations; 0 without any
         uncorrected = len(counters) == len(_PX4_COUNTERS) and not log.read(counters).any()
-        corrected = any(name in sensors.columns for sensors in columns.triads.values()) and not uncorrected
-        doubts = [sentence] * corrected + doubts
+        if name in columns.sensors and not uncorrected:
+            draft.doubts = (sentence, *draft.doubts)
     if rate is not None and columns.time is not None and not times.stamped:
-        remarks.append(f"time: column {columns.time!r} is not used, since the rate was given")
+        draft.say(f"time: column {columns.time!r} is not used, since the rate was given")
         shown = [each.rate for each in log.stamped_times()]
         if shown and all(abs(each - rate) > USUAL_RATE_U * rate for each in shown):
-            doubts.append(
+            draft.doubts += (
                 f"--sample-rate {rate:g} is taken as stated, but the times in {columns.time!r} show {shown[0]:.4g} per "
-                "second: the gyros' scale factors depend on it; leave --sample-rate out if the times are right"
+                "second: the gyros' scale factors depend on it; leave --sample-rate out if the times are right",
             )
-    remarks += [f"also there, and not used: {', '.join(columns.others)}"] if columns.others else []
-    triads = {kind: columns.triads[kind] for kind in (ACCEL, GYRO) if kind in columns.triads}
-    head = {kind: log.read(sensors.columns, rows=HEAD_ROWS) for kind, sensors in triads.items()}
-    first = next(iter(triads))
-    magnitude = log.magnitude(triads[first].columns)
-    if magnitude == 0.0:
-        raise LogError(
-            f"{log.files[0]}: {', '.join(triads[first].columns)}: expected readings, found none in the first "
-            f"{len(head[first])} rows"
-        )
-    files = [str(file.resolve()) for file in log.files]
-    table: dict[str, Any] = {"file": files[0] if len(files) == 1 else files, **log.keys, **times.keys}
-    for kind, sensors in triads.items():
+    if columns.others:
+        draft.say(f"also there, and not used: {', '.join(columns.others)}")
+    first = next(iter(draft.triads.values())).columns
+    if log.magnitude(first) == 0.0:
+        rows = len(log.read(first, rows=HEAD_ROWS))
+        raise LogError(f"{log.files[0]}: {', '.join(first)}: expected readings, found none in the first {rows} rows")
+    for kind, sensors in draft.triads.items():
         table[kind] = {"columns": list(sensors.columns), "unit": "count", "scale": 1.0, "offset": 0.0}
-    if GYRO not in triads:
-        remarks.append("no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated")
+    if GYRO not in draft.triads:
+        draft.say("no gyros were found (--gyro states their columns): the accelerometers alone will be calibrated")
     if columns.temperatures:
-        thermometers, remark = _temperature_table(log, columns.temperatures)
-        table |= {} if thermometers is None else {"temperature": thermometers}
-        remarks.append(remark)
-    magnetometer, magnetometer_remarks = _magnetometer_table(log, columns.triads.get(MAGNETOMETER))
-    rates = head[GYRO][np.isfinite(head[GYRO]).all(axis=1)] if GYRO in triads else np.empty((0, 3))
-    whole = {kind: bool((r == np.floor(r))[np.isfinite(r)].all()) for kind, r in head.items()}
-    return Draft(
-        content={"format": 1, "device": {"serial": "unknown"}, "log": table},
-        remarks=(*remarks, *magnetometer_remarks),
-        doubts=tuple(doubts),
-        magnetometer=magnetometer,
-        triads=triads,
-        times=times,
-        rate=times.rate,
-        whole=whole,
-        magnitude=magnitude,
-        largest=float(np.quantile(np.abs(rates).max(axis=1), _FAST_QUANTILE)) if len(rates) else 0.0,
-        step=resolution_in_deg_s(head[GYRO]) if GYRO in triads and not whole[GYRO] else None,
-        kept=log.kept,
-    )
+        _add_temperature(draft)
+    if MAGNETOMETER in columns.triads:
+        _add_magnetometer(draft, columns.triads[MAGNETOMETER])
+    return draft
 
 
-def _with_apple_sign(draft: Draft) -> Draft:
-    """Set the sign of accelerometers named as in Apple's CoreMotion, which read −1 g on the axis that points up.
-
-    A recording cannot determine it, because gyros predict both directions of the vertical alike. Source: Apple,
-    CMAccelerometerData and CMMotionManager, Core Motion."""
-    accel = draft.log.get(ACCEL, {"unit": None})
-    if accel["unit"] != "g" or not all(map(CORE_MOTION.fullmatch, accel["columns"])):
-        return draft
-    table = {"columns": accel["columns"], "unit": "count", "scale": -1.0, "scale_per": "g", "offset": 0.0}
-    remark = "accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g"
-    content = {**draft.content, "log": {**draft.log, ACCEL: table}}
-    return replace(draft, content=content, remarks=(*draft.remarks, remark))
+def _unit_of_size(kind: str, size: float) -> str | None:
+    """Return the first unit in which a reading is of a usual size."""
+    return next((unit for unit, (low, high) in PRIORS["sizes"][kind].items() if low <= size <= high), None)
 
 
-def _temperature_table(log: ForeignLog, columns: Sequence[str]) -> tuple[dict[str, Any] | None, str]:
-    """Return the table [log.temperature], None without a known unit, and a remark.
+def _add_temperature(draft: Draft) -> None:
+    """Add the table [log.temperature], if its unit is known, and a remark.
 
     The unit is that of the name, or one in which the numbers are air temperatures. Columns in another unit than the
     first are left out."""
     units, remarks = dict[str, str](), list[str]()
-    for column in columns:
-        readings = log.readings(column)
+    for column in draft.source.columns.temperatures:
+        readings = draft.source.readings(column)
         if not len(readings):
-            return None, f"temperature: {column} is left out, for it reads nothing or cannot be read"
+            draft.say(f"temperature: {column} is left out, for it reads nothing or cannot be read")
+            return
         middle, named = float(np.median(readings)), temperature_unit(column)
-        plausible = (unit for unit, (low, high) in _PLAUSIBLE_TEMPERATURES.items() if low <= middle <= high)
-        units[column] = named or next(plausible, "")
+        units[column] = named or _unit_of_size("temperature", middle) or ""
         if units[column] not in TEMPERATURE_UNITS:
-            return None, (
+            draft.say(
                 f"temperature: {column}, about {middle:.6g}, is left out, for it is in no unit that is known; to use "
                 "it, convert it to °C"
             )
+            return
         remarks.append(f"{column} in {units[column]} ({'from the name' if named else 'by its numbers'})")
-    unit = units[columns[0]]
-    listed = [column for column in columns if units[column] == unit]
+    unit = next(iter(units.values()))
+    listed = [column for column in units if units[column] == unit]
     whose = ", accelerometers and gyros" if len(listed) > 1 else ""
-    return {"columns": listed, "unit": unit}, f"temperature: {', '.join(remarks[: len(listed)])}{whose}"
+    draft.say(f"temperature: {', '.join(remarks[: len(listed)])}{whose}")
+    draft.log["temperature"] = {"columns": listed, "unit": unit}
 
 
-def _magnetometer_table(log: ForeignLog, sensors: Sensors | None) -> tuple[dict[str, Any] | None, list[str]]:
-    """Return the table [log.magnetometer] and remarks; the unit is that of the name, or fits the field on Earth."""
-    if sensors is None:
-        return None, []
-    field, named = log.magnitude(sensors.columns), ", ".join(sensors.columns)
-    unit = sensors.unit or next((unit for unit, (low, high) in _FIELDS.items() if low <= field <= high), None)
+def _add_magnetometer(draft: Draft, sensors: Sensors) -> None:
+    """Add the table [log.magnetometer] and a remark; the unit is that of the name, or fits the field on Earth."""
+    field, named = draft.source.magnitude(sensors.columns), ", ".join(sensors.columns)
+    unit = sensors.unit or _unit_of_size(MAGNETOMETER, field)
     if field == 0.0:
-        return None, [f"magnetometers: {named} are left out; they have no readings"]
-    if unit is None:
-        return None, [f"magnetometers: {named} are left out; their magnitude of {field:.6g} is no field on Earth"]
-    remark = f"magnetometers: {named} in {unit}, as a comment in the file: take the # away to calibrate them too"
-    return {"columns": list(sensors.columns), "unit": unit}, [remark]
+        draft.say(f"magnetometers: {named} are left out; they have no readings")
+    elif unit is None:
+        draft.say(f"magnetometers: {named} are left out; their magnitude of {field:.6g} is no field on Earth")
+    else:
+        draft.magnetometer = {"columns": list(sensors.columns), "unit": unit}
+        draft.say(f"magnetometers: {named} in {unit}, as a comment in the file: take the # away to calibrate them too")

@@ -17,7 +17,8 @@ from tumble.drafting.foreign_log import LONGEST, SAMPLE_ROWS, ForeignLog
 from tumble.drafting.times import Stamps, grows_mostly, overflow_of, recordings_of, times_of_column
 from tumble.errors import InputError
 from tumble.files import OutputFolder
-from tumble.recording.columns.names import ACCEL, MAGNETOMETER, is_interval, time_unit
+from tumble.recording.columns.names import ACCEL, MAGNETOMETER, NAMED, is_interval, time_unit
+from tumble.recording.columns.scales import PRIORS
 from tumble.recording.formats import TIME
 from tumble.recording.readers import write_tables
 from tumble.recording.rows.gaps import GAP_STEP
@@ -25,15 +26,11 @@ from tumble.recording.rows.timed import past_midnight
 from tumble.units import TIME_UNITS, Array, BoolArray
 
 _XSENS_TICK = 1e-4  # s, of SampleTimeFine
-_NANO = re.compile("(nano|n)(?=sec)", re.IGNORECASE)
 _BLANK_SHARE = 0.02  # of rows without readings; a larger share are rows of other sensors
 _READ_SHARE = 0.5  # least share of its sensors that a sample has; a row of words and other numbers has fewer
 _FEWEST_ROWS = 50
 _POSITION_JUMP = 0.2  # of gravity
 _STILL_SHARE, _NOISE_SIGMAS = 0.01, 5.0  # of a jump: rows of a position drift less, those of a turn more
-_LABEL = re.compile(
-    r"part|pos(ition)?|pose|label|section|segment|step|lage|stellung|положение|позиция|位置", re.IGNORECASE
-)
 
 Repair = tuple[str, Callable[[pl.DataFrame], pl.DataFrame]]
 """A remark on a change of the rows of a file, and the change."""
@@ -90,8 +87,7 @@ def _copy(
     """Return the log of a repaired copy, one file for each file or for each range of rows in `parts`.
 
     With `in_seconds` the repairs have replaced the time by a column TIME. `why` is the remark on the parts."""
-    triads = log.columns.triads
-    columns = (*time, *(c for triad in triads.values() for c in triad.columns), *log.columns.temperatures)
+    columns = (*time, *log.columns.sensors, *log.columns.temperatures)
     stamp, files = [TIME] if in_seconds else time, list[Path]()
     for number, source in enumerate(log.sources(), 1):
         rows = pl.concat(table for table, _ in source.tables(list(dict.fromkeys(columns)), log.clock))
@@ -111,9 +107,7 @@ def _copy(
     described = replace(described, time=TIME, time_unit="s") if in_seconds else described
     copied = f"so mended, the log is copied to {files[0].name}{' …' * (len(files) > 1)}"
     remarks = (*log.remarks, *(remark for remark, _ in repairs), *filter(None, [why]), copied)
-    return ForeignLog(
-        files=tuple(files), keys={}, columns=described, preamble=log.preamble, remarks=remarks, doubts=log.doubts
-    )
+    return ForeignLog(files=tuple(files), columns=described, preamble=log.preamble, remarks=remarks, doubts=log.doubts)
 
 
 def _leave_out_other_rows(log: ForeignLog) -> list[Repair]:
@@ -144,7 +138,7 @@ def _copied_rows(log: ForeignLog, time: list[str]) -> list[Repair]:
     read."""
     if len(log.files) > 1:
         return []
-    columns = [*time, *(column for triad in log.columns.triads.values() for column in triad.columns)]
+    columns = [*time, *log.columns.sensors]
     rows = pl.DataFrame(log.read(columns), schema=columns, orient="row")
     repeated = _BLANK_SHARE * rows.height
     stamps = rows.select(time).n_unique() if time else rows.height
@@ -221,7 +215,8 @@ def _without_overflow(column: pl.Series, overflow: float) -> pl.Series:
 
 def nanoseconds_column(log: ForeignLog) -> str | None:
     """Return the column of nanoseconds beside a time in whole seconds: header.stamp.nsecs beside header.stamp.secs."""
-    return next((n for n in log.names if _NANO.search(n) and _NANO.sub("", n) == log.columns.time), None)
+    nano = NAMED["nanoseconds"]
+    return next((n for n in log.names if nano.search(n) and nano.sub("", n) == log.columns.time), None)
 
 
 # -------------------- 16-bit numbers read as unsigned --------------------
@@ -246,8 +241,6 @@ def with_signs(columns: Array) -> Array:
 
 # -------------------- integers that stand for no reading --------------------
 
-_LIMITS = (-(2.0**15), 2.0**15 - 1.0, -(2.0**31), 2.0**31 - 1.0)
-"""Smallest and largest integers of 16 and 32 bits."""
 _UNLED = 2.0  # steps to a limit over the largest other step; at most 1.1 in turns of up to 80 times the range
 
 
@@ -256,7 +249,7 @@ def stand_for_none(columns: Array) -> BoolArray:
 
     These are limits of 16 or 32 bits to which the readings step, and from which they step back, at least twice as far
     as anywhere else: a sensor that is driven to its limit approaches it, as the motion does."""
-    at_limit, finite = np.isin(columns, _LIMITS), np.isfinite(columns)
+    at_limit, finite = np.isin(columns, PRIORS["numbers"]["limits"]), np.isfinite(columns)
     if not at_limit.any() or (columns[finite] != np.floor(columns[finite])).any():
         return np.zeros(columns.shape, dtype=bool)
     at, steps = np.asarray(at_limit.any(axis=1)), np.linalg.norm(np.diff(columns, axis=0), axis=1)
@@ -307,7 +300,7 @@ def _successive_positions(log: ForeignLog) -> tuple[list[tuple[int, int]] | None
     accel = with_signs(log.read(log.columns.triads[ACCEL].columns))
     if np.isnan(accel).all(axis=0).any() or not 2 * _FEWEST_ROWS <= len(accel) < LONGEST:
         return None, ""
-    label = next((n for n in log.cells if _LABEL.fullmatch(n.strip()) and n != log.columns.time), None)
+    label = next((n for n in log.cells if NAMED["label"].fullmatch(n.strip()) and n != log.columns.time), None)
     if label is not None:
         labels = pl.concat([table[label].cast(pl.String) for table in next(log.sources()).whole(())])
         starts = np.flatnonzero((labels != labels.shift(1)).fill_null(False).to_numpy()).tolist()

@@ -3,7 +3,6 @@ and gyros of a phone in one file each."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -19,8 +18,7 @@ from tumble.files import OutputFolder
 from tumble.recording.columns.names import (
     ACCEL,
     GYRO,
-    SENSOR_WORDS,
-    WITHOUT_GRAVITY,
+    NAMED,
     Columns,
     Sensors,
     columns_by_name,
@@ -32,11 +30,6 @@ from tumble.recording.columns.numbers import time_by_data
 from tumble.recording.formats import TIME, Message, messages, write_log
 from tumble.recording.session import AutopilotSensor
 from tumble.units import TIME_UNITS
-
-_UNCALIBRATED = re.compile(r"uncal", re.IGNORECASE)
-CORE_MOTION = re.compile(r"accelerometerAcceleration[XYZ]\(G\)")
-"""Columns of SensorLog, whose accelerometers read −1 g where an axis points up."""
-_GRAVITY = re.compile(r"grav|schwerkraft", re.IGNORECASE)
 
 
 def log_of_recording(
@@ -82,29 +75,24 @@ def log_of_recording(
     )
     imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
     doubts = tuple(dict.fromkeys(m.doubt for m in taken if m.doubt))
-    return ForeignLog(files=(log,), keys={}, columns=columns, remarks=tuple(remarks), doubts=doubts), imu
+    return ForeignLog(files=(log,), columns=columns, remarks=tuple(remarks), doubts=doubts), imu
 
 
 # -------------------- several devices in a table --------------------
 
-_INSTANCE = re.compile(
-    r"i|id|(imu|sensor|device|dev|node|board|chip|inst(ance)?)[ _.]?(id|idx|index|no|nr|num(ber)?|inst(ance)?)?",
-    re.IGNORECASE,
-)
-"""Names of columns that separate devices, such as the field I of ArduPilot's messages."""
 _MOST_DEVICES = 8
 _WINDOWS, _FILLED_SHARE = 20, 0.9
 """Windows of a recording, and the least share of them in which a device has half its usual rows or more."""
 
 
-def of_one_group(log: ForeignLog, numeric: Sequence[str], name: str | None) -> ForeignLog:
+def of_one_group(log: ForeignLog, name: str | None) -> ForeignLog:
     """Return the log with one of several groups of sensors that the names of its columns tell apart.
 
-    `numeric` are the columns of numbers; `name` is that of a group, by default that of the first accelerometers."""
+    `name` is that of a group, by default that of the first accelerometers."""
     named = log.columns
-    roles = [column for column in log.names if column in (*numeric, *named.times)]
+    roles = [column for column in log.names if column in (*log.numeric, *named.times)]
     groups = groups_by_name(roles)
-    if not groups or (name not in (None, *groups) and any(map(_INSTANCE.fullmatch, log.names))):
+    if not groups or (name not in (None, *groups) and any(map(NAMED["device"].fullmatch, log.names))):
         return log
     accel = columns_by_name(roles, suffixed=True).triads.get(ACCEL)
     first = [group for group, columns in groups.items() if accel is not None and accel.columns[0] in columns]
@@ -126,18 +114,18 @@ def _with_choice(log: ForeignLog, several: str, names: Sequence[str], taken: str
     return replace(log, remarks=(*log.remarks, remark))
 
 
-def of_one_device(log: ForeignLog, numeric: Sequence[str], name: str | None) -> ForeignLog:
+def of_one_device(log: ForeignLog, name: str | None) -> ForeignLog:
     """Return the log with the rows of one device if a column of few whole numbers separates several.
 
-    `numeric` are the columns of numbers; `name` is that of a device, by default the first. Each device has rows all the
-    time, other than the values of a label or a state. A column without a name that says so separates devices only if
+    `name` is that of a device, by default the first. Each device has rows all the time, other than the values of a
+    label or a state. A column without a name that says so separates devices only if
     their stamps are even by themselves, and not together."""
     named = log.columns
-    taken = {named.time, *named.times, *named.temperatures, *(c for s in named.triads.values() for c in s.columns)}
-    free = [column for column in numeric if column not in taken]
-    for column in sorted(free, key=lambda column: not _INSTANCE.fullmatch(column)):
+    taken = {named.time, *named.times, *named.temperatures, *named.sensors}
+    free = [column for column in log.numeric if column not in taken]
+    for column in sorted(free, key=lambda column: not NAMED["device"].fullmatch(column)):
         cells = log.cells.get(column) or log.readings(column)[:SAMPLE_ROWS].tolist()
-        is_named, changes = _INSTANCE.fullmatch(column) is not None, sum(a != b for a, b in pairwise(cells))
+        is_named, changes = NAMED["device"].fullmatch(column) is not None, sum(a != b for a, b in pairwise(cells))
         if len(set(cells)) > _MOST_DEVICES or not (is_named or 4 * changes > len(cells)):
             continue
         try:
@@ -193,11 +181,11 @@ def _first_by_kind(logs: Sequence[ForeignLog]) -> dict[str, ForeignLog]:
 
     Uncalibrated readings come last, and accelerometers that read gravity first."""
     by_kind: dict[str, list[ForeignLog]] = {}
-    for log in sorted(logs, key=lambda log: _UNCALIBRATED.search(log.files[0].stem) is not None):
+    for log in sorted(logs, key=lambda log: NAMED["uncalibrated"].search(log.files[0].stem) is not None):
         name = log.files[0].stem
         kind = next((kind for kind in (ACCEL, GYRO) if kind in log.columns.triads), None)
-        kind = kind or next((k for k, pattern in SENSOR_WORDS.items() if pattern.search(name)), None)
-        if kind is not None and not (kind == ACCEL and WITHOUT_GRAVITY.search(name)):
+        kind = kind or next((k for k in (ACCEL, GYRO) if NAMED[k].search(name)), None)
+        if kind is not None and not (kind == ACCEL and NAMED["without_gravity"].search(name)):
             by_kind.setdefault(kind, []).append(log)
     first = {kind: candidates[0] for kind, candidates in by_kind.items()}
     with_gravity = next((log for log in by_kind.get(ACCEL, []) if _reads_gravity(log)), None)
@@ -214,7 +202,7 @@ def join_sensors(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog
     if not by_kind:
         logs[0].check_has_sensors(gyros_suffice=True)
     parts = {kind: _message(by_kind[kind], kind) for kind in (ACCEL, GYRO) if kind in by_kind}
-    gravity = next((log for log in logs if _GRAVITY.search(log.files[0].stem)), None)
+    gravity = next((log for log in logs if NAMED["gravity"].search(log.files[0].stem)), None)
     summed = ""
     if ACCEL in by_kind and gravity is not None and not _reads_gravity(by_kind[ACCEL]):
         (total,), (more,) = parts[ACCEL].rows(), _message(gravity, ACCEL).rows()  # which a phone writes separately
@@ -222,7 +210,7 @@ def join_sensors(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog
         summed_rows = total.with_columns(added)
         parts[ACCEL] = replace(parts[ACCEL], rows=lambda: iter([summed_rows]))
         summed = f", {gravity.files[0].name} added to the accelerometers, which are without gravity"
-    if ACCEL in by_kind and all(map(CORE_MOTION.fullmatch, _time_and_axes(by_kind[ACCEL], ACCEL)[1])):
+    if ACCEL in by_kind and all(map(NAMED["core_motion"].fullmatch, _time_and_axes(by_kind[ACCEL], ACCEL)[1])):
         summed = ", accelerometers of opposite sign, as Apple's CoreMotion has them"
     joined = folder.new_file("log.parquet")
     first = next(iter(parts.values()))
@@ -233,7 +221,7 @@ def join_sensors(logs: Sequence[ForeignLog], folder: OutputFolder) -> ForeignLog
     others = (f"also there, and not used: {', '.join(unused)}",) if unused else ()
     remark = f"{used}: one log at the times of the gyros{summed}, written to {joined}"
     fastest = parts.get(GYRO, first)
-    return ForeignLog(files=(joined,), keys={}, columns=columns, remarks=(remark, *others, fastest.remark))
+    return ForeignLog(files=(joined,), columns=columns, remarks=(remark, *others, fastest.remark))
 
 
 def _time_and_axes(log: ForeignLog, kind: str) -> tuple[ForeignLog, list[str]]:
@@ -278,7 +266,7 @@ def _message(log: ForeignLog, kind: str) -> Message:
         rows = np.arange(len(table), dtype=float)
         table[:, 0] = np.polynomial.Polynomial.fit(rows, table[:, 0], 1)(rows)
     table = table[np.argsort(table[:, 0], kind="stable")]
-    table[:, 1:] *= -1.0 if all(map(CORE_MOTION.fullmatch, source)) else 1.0
+    table[:, 1:] *= -1.0 if all(map(NAMED["core_motion"].fullmatch, source)) else 1.0
     table[:, 0] *= 1.0 if stamps.clock else TIME_UNITS[times.keys.get("time_unit", "s")]
     return Message(
         name=log.files[0].name,

@@ -12,12 +12,13 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 from tumble.recording.columns.numbers import DATES
-from tumble.recording.columns.scales import FREQUENCIES
+from tumble.recording.columns.scales import PRIORS
 from tumble.recording.rows.timed import leaping
 from tumble.units import TIME_UNITS, Array
 
@@ -27,15 +28,13 @@ _LEAST_RATE = 0.5  # Hz
 _SHORTEST_LOG = 2.0  # s
 _SLOW = 5.0  # Hz; in a slower log, dates may be the time since the start of a phone, in a thousandth of their unit
 _BY_DATES = "by its dates"
-_WEIGHTS = {float(rate): float(weight) for weight, rates in FREQUENCIES["rates"].items() for rate in rates}
+_WEIGHTS = {float(rate): float(weight) for weight, rates in PRIORS["rates"].items() for rate in rates}
 USUAL_RATES = {rate: -2.0 * math.log(weight / sum(_WEIGHTS.values())) for rate, weight in sorted(_WEIGHTS.items())}
 """Cost of each usual rate, Hz."""
-UNUSUAL_SHARE = 0.03  # share of logs with a rate that is not listed
-_TICKS_SHARE, _COUNTS_SHARE = 0.02, 0.4
-"""Share of whole numbers without a unit that are clock ticks; share of those growing by one that count samples."""
-_UNIT_COSTS = {"s": 0.0, "ms": 0.5, "us": 1.0, "ns": 1.5, "min": 6.0, "h": 8.0}
+_PRIOR = SimpleNamespace(**PRIORS["times"])
+UNLISTED_SHARE: float = _PRIOR.unlisted_share
+"""Share of logs with a rate that is not listed."""
 _USUAL_BAND = 10.0, 2000.0  # Hz
-_UNUSUAL_RATE_COST, _SHORT_LOG_COST = 5.0, 8.0
 _IRREGULAR_SHARE, _IRREGULAR_FREE = 2e-2, 3  # irregular steps that are tolerated: share and number
 _PAUSE_SHARE, _PAUSE_FACTOR = 2e-3, 10.0  # longer steps than this factor times the (1 − share) quantile are pauses
 _NEAR_TYPICAL = 0.5  # of the typical step, for steps that are averaged: stamps in whole ms, without lost samples
@@ -146,7 +145,7 @@ def times_of_column(stamps: Stamps) -> Times | None:
     first, *rivals = trials
     whole = bool((values == np.floor(values)).all())  # fractions are of seconds, not of samples or ticks
     if whole and not stamps.clock and stamps.unit is None and how != _BY_DATES:
-        cost_of_counts = -2.0 * math.log(_COUNTS_SHARE if _grows_by_one(steps, typical) else _TICKS_SHARE)
+        cost_of_counts = -2.0 * math.log(_PRIOR.counts_share if _grows_by_one(steps, typical) else _PRIOR.ticks_share)
         rivals += [at_rate(usual, cost + cost_of_counts) for usual, cost in USUAL_RATES.items()]
     return replace(first, rivals=tuple(rivals))
 
@@ -188,9 +187,6 @@ def grows_mostly(values: Array) -> bool:
     return bool(steps[steps > 0.0].sum() > _LEAST_GROWTH and np.mean(steps < 0.0) <= _FALLING_SHARE)
 
 
-_OVERFLOWS = (1e3, 1e6, 3600.0, 65.536, 65536.0, 2.0**24, 2.0**32 / 1e6, 2.0**32 / 1e3, 2.0**32)
-"""Numbers at which counters overflow: the ms and µs of a second, an hour, 2^16, 2^24 and 2^32, in the stamps' unit, its
-thousands or millions."""
 _MOST_OVERFLOWS = 10_000
 _LOST_AT_RESTART = 50  # samples that may be lost where a counter overflows
 _MOST_RECORDINGS, _SHORTEST_RECORDING = 50, 50  # recordings in a log; rows
@@ -205,10 +201,10 @@ def overflow_of(values: Array) -> float | None:
     if not 0 < len(falls) <= _MOST_OVERFLOWS or not len(rising):
         return None
     usual = float(rising.mean())
-    for number in _OVERFLOWS:
+    for number in PRIORS["numbers"]["overflows"]:
         after = steps[falls] + number
         if float(np.ptp(values)) < number and ((after > 0.0) & (after < _LOST_AT_RESTART * usual)).all():
-            return number
+            return float(number)
     return None
 
 
@@ -238,16 +234,16 @@ def _unit_costs(stamps: Stamps, step: float) -> tuple[dict[str, float], str, lis
     counts = _grows_by_one(np.diff(stamps.values), step)
     low, high = float(np.nanmin(stamps.values)), float(np.nanmax(stamps.values))
     rates = {name: 1.0 / (step * size) for name, size in TIME_UNITS.items()}
-    costs = {name: cost for name, cost in _UNIT_COSTS.items() if _LEAST_RATE <= rates[name] <= RATE_LIMITS[1]}
+    costs = {name: cost for name, cost in _PRIOR.units.items() if _LEAST_RATE <= rates[name] <= RATE_LIMITS[1]}
     for name in list(costs):
         usual = _USUAL_BAND[0] <= rates[name] <= _USUAL_BAND[1]
         if TIME_UNITS[name] > 1.0 and not usual:  # times of a slow log are not in minutes
             del costs[name]
             continue
         short = (high - low) * TIME_UNITS[name] < _SHORTEST_LOG or (counts and rates[name] < RATE_LIMITS[0])
-        costs[name] += _UNUSUAL_RATE_COST * (not usual) + _SHORT_LOG_COST * short
+        costs[name] += _PRIOR.unusual_rate * (not usual) + _PRIOR.short_log * short
     dated = [name for name in costs if DATES[0] < low * TIME_UNITS[name] and high * TIME_UNITS[name] < DATES[1]]
-    if dated and (rates[dated[0]] > _SLOW or min(costs.values()) >= _UNUSUAL_RATE_COST):
+    if dated and (rates[dated[0]] > _SLOW or min(costs.values()) >= _PRIOR.unusual_rate):
         return {dated[0]: 0.0}, _BY_DATES, []
     ranked = dict(sorted(costs.items(), key=lambda item: item[1]))
     counted = f"time: column {stamps.column!r} grows by one a row, as a counter of samples does too"

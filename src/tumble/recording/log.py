@@ -23,7 +23,7 @@ from tumble.errors import LogError, TumbleError, did_you_mean
 from tumble.recording.log_source import LogSource, readable
 from tumble.recording.readers import TableLog, source_of
 from tumble.recording.rows.gaps import Bridge, Gap, Grid, seconds_of_stamps
-from tumble.recording.rows.timed import burst_grid, check_head, regular_grid, rounded_grid, rows_of
+from tumble.recording.rows.timed import TimedRows, burst_grid, check_head, regular_grid, rounded_grid
 from tumble.recording.session import LogSpec, Session
 from tumble.units import ZERO_CELSIUS, Array
 
@@ -133,10 +133,10 @@ class Log(Brief):
 def samples_of_file(source: LogSource, spec: LogSpec, file: int, grid: Grid, gaps: list[Gap]) -> Iterator[Chunk]:
     """Yield the samples of one file from its reader in SI, with gaps bridged or left out and added to `gaps`."""
     bridge = Bridge(source=source, file=file, spec=spec, interval=grid.interval, gaps=gaps)
-    rows = rows_of(source, spec, file, grid, gaps, on_grid=spec.unstamped or grid.rounded or grid.jitter > 0.0)
+    timed = TimedRows(source=source, spec=spec, file=file, grid=grid, gaps=gaps)
     parts = [spec.accel, spec.gyro, spec.magnetometer, spec.temperature]
     ends = np.cumsum([0 if part is None else len(part.columns) for part in parts])
-    for time, dt_of_log, values in bridge.samples(rows):
+    for time, dt_of_log, values in bridge.samples(timed.rows()):
         dt = dt_of_log if spec.clock_rate == 1.0 else spec.clock_rate * dt_of_log
         accel, gyro, magnetometer, temperature, _ = np.split(values, ends, axis=1)
         yield Chunk(
@@ -171,7 +171,7 @@ def open_log(session: Session) -> Log:
             "this process was forked from one that had read logs, whose threads it lacks: it would wait for ever; "
             "start workers anew: multiprocessing.get_context('spawn') or 'forkserver'"
         )
-    spec, heads = session.log, list[Array]()
+    spec, grids, first_stamps = session.log, list[Grid](), list[float]()
     sources = tuple(source_of(file, spec.dialect) for file in spec.files)
     for one, other in combinations([file for file in spec.files if isinstance(file, Path)], 2):
         if one.stat().st_size == other.stat().st_size and filecmp.cmp(one, other, shallow=False):
@@ -183,18 +183,16 @@ def open_log(session: Session) -> Log:
             raise LogError(f"{source.path}: expected a column '{column}', found {shown[:200]}{hint}")
     for source in sources:
         # the first times as written; without times, the first numbers of a sensor
-        column, parts = spec.time or spec.accel.columns[0], [np.empty(0)]
+        column, head = spec.time or spec.accel.columns[0], np.empty(0)
         for table, _ in source.tables([column], column if spec.clock else None):
-            parts.append(table[column].to_numpy())
-            if sum(map(len, parts)) >= HEAD_ROWS:
+            head = np.concatenate([head, table[column].to_numpy()])[:HEAD_ROWS]
+            if len(head) == HEAD_ROWS:
                 break
-        heads.append(np.concatenate(parts)[:HEAD_ROWS])
-        if not len(heads[-1]):
+        if not len(head):
             raise LogError(f"{source.path}: expected a log, found no rows; the file is empty")
-        if len(heads[-1]) < _FEWEST_ROWS:
-            raise LogError(f"{source.path}: expected at least {_FEWEST_ROWS} samples, found {len(heads[-1])}")
-    grids = list[Grid]()
-    for source, head in zip(sources, heads, strict=True):
+        if len(head) < _FEWEST_ROWS:
+            raise LogError(f"{source.path}: expected at least {_FEWEST_ROWS} samples, found {len(head)}")
+        first_stamps.append(float(head[0]))
         if spec.rate is not None:
             grids.append(Grid(start=1.0 / spec.rate, interval=1.0 / spec.rate))
         elif spec.regular:
@@ -218,4 +216,4 @@ def open_log(session: Session) -> Log:
             f"{intervals[0]:.3g} s; check log.time, log.time_unit or log.rate_hz"
         )
     rate = 1.0 / intervals[0] if spec.rate is None else spec.rate
-    return Log(session=session, rate=rate, _sources=sources, _grids=tuple(grids), _first_stamp=float(heads[0][0]))
+    return Log(session=session, rate=rate, _sources=sources, _grids=tuple(grids), _first_stamp=first_stamps[0])

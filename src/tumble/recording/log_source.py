@@ -70,8 +70,7 @@ class LogSource:
 
     def first_date(self, column: str) -> str | None:
         """Return the date with the time, ISO 8601, in the first row of a column; None without a date."""
-        del column
-        return None
+        raise NotImplementedError
 
     def tables(self, columns: Sequence[str], clock: str | None = None) -> Tables:
         """Yield rows of some columns as float64, NaN for unreadable numbers.
@@ -106,7 +105,11 @@ class LogSource:
 
     def place(self, row: int, column: str | None = None) -> str:
         """Return file, data row and column in words."""
-        return f"{self.path}: row {row}" + in_column(column)
+        return f"{self.path}: {self.row_in_words(row)}" + ("" if column is None else f", column '{column}'")
+
+    def row_in_words(self, row: int) -> str:
+        """Return the number of a data row in words."""
+        return f"row {row}"
 
 
 def one_ahead(parts: Iterator[_Part]) -> Iterator[_Part]:
@@ -158,7 +161,3 @@ def unread_error(source: LogSource, unread: Unread) -> LogError:
     return LogError(
         f"{source.place(unread.row, unread.column)}: expected {expected}, found {found}; correct or remove the row"
     )
-
-
-def in_column(column: str | None) -> str:
-    return "" if column is None else f", column '{column}'"

@@ -13,15 +13,13 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
-from pathlib import Path
-from threading import Lock, get_native_id
+from threading import Lock
 
 COMMAND_LINE: ContextVar[bool] = ContextVar("COMMAND_LINE", default=False)
 """Whether the current thread runs a command."""
+PANIC_SECONDS = 0.5  # until threads that stop have printed
 _REDIRECTION = Lock()
 _STANDARD_ERROR = 2
-PANIC_SECONDS = 0.1, 2.0
-"""Times allowed for stopping threads to begin printing and to end, s."""
 _PANIC_MARK = b" panicked at "
 
 
@@ -42,7 +40,7 @@ def without_panic(*, silent: bool = False) -> Iterator[None]:
         try:
             yield
         except BaseException:
-            wait_for_panic()
+            time.sleep(PANIC_SECONDS)
             raise
         finally:
             os.dup2(kept, _STANDARD_ERROR)
@@ -52,16 +50,3 @@ def without_panic(*, silent: bool = False) -> Iterator[None]:
             if written and not silent and _PANIC_MARK not in written:
                 with suppress(OSError):
                     os.write(_STANDARD_ERROR, written)
-
-
-def wait_for_panic() -> None:
-    """Wait until no other thread of the process is running, within a least and a longest time."""
-    begun, ended = (time.monotonic() + seconds for seconds in PANIC_SECONDS)
-    at_work = True
-    while (now := time.monotonic()) < begun or (now < ended and at_work):
-        at_work = False
-        for task in Path("/proc/self/task").glob("*/stat"):
-            with suppress(OSError):  # the thread has ended
-                state = task.read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()[0]
-                at_work |= state == "R" and task.parent.name != str(get_native_id())
-        time.sleep(0.01)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +19,7 @@ from tumble.documents import check_regular
 from tumble.errors import InputError, LogError
 from tumble.files import ending_in, whole_file
 from tumble.recording.log_source import LogSource, Tables, ending_of, readable, rows_of_numbers
-from tumble.recording.panic import wait_for_panic, without_panic
+from tumble.recording.panic import PANIC_SECONDS, without_panic
 from tumble.recording.text.dialect import Dialect
 from tumble.recording.text.pieces import check_unpacked
 from tumble.recording.text.text_log import text_log
@@ -121,7 +122,7 @@ class TableLog(LogSource):
                     batches = batches or iter(scan.collect_batches(chunk_size=_PARQUET_ROWS, maintain_order=True))
                     table = next(batches, None)
                     if table is None and rows < self.rows:
-                        wait_for_panic()
+                        time.sleep(PANIC_SECONDS)
                 if table is None:
                     break
                 rows += table.height

@@ -32,10 +32,8 @@ _SPELLINGS: Mapping[str, Mapping[str, str]] = {
 UNITS = {kind: _SPELLINGS[kind] for kind in (*SENSOR_KINDS, TIME_KIND)}
 """Units by kind and spelling."""
 TIME_WORDS, TEMPERATURE_WORDS = _SPELLINGS["time_in_words"], _SPELLINGS["temperature"]
-SENSOR_WORDS = {kind: re.compile(words, re.IGNORECASE) for kind, words in _TABLE["sensor_words"].items()}
-"""Words for sensors in names of files and in labels of rows."""
-WITHOUT_GRAVITY = re.compile(r"lin|user|free|world|without|ohne|\bno[_ ]?g|_no_g", re.IGNORECASE)
-"""Words for accelerations without gravity, in names of files and columns."""
+NAMED = {key: re.compile(words, re.IGNORECASE) for key, words in _TABLE["named"].items()}
+"""Words in names of columns and files, by what they denote."""
 
 ALL_UNITS = frozenset(text for units in UNITS.values() for text in units if text != "t")
 
@@ -82,16 +80,8 @@ PATTERNS = tuple(_patterns())
 def score(kind: str, name: str, unit: str = "", axis: str = "") -> float:
     """Return the weight of evidence that a column is of a kind; 0 without evidence or for a unit of another kind.
 
-    Parameters
-    ----------
-    kind
-        One of the kinds of columns.
-    name
-        Words of the column's name, joined by _, without axis and unit.
-    unit
-        Spelling of the unit, "" for none.
-    axis
-        "x", "y" or "z" for patterns of one axis.
+    `name` are the words of the column's name, joined by _, without axis and `unit`; `axis` is that of patterns of one
+    axis.
 
     >>> score(ACCEL, "acc"), score(ACCEL, "lin_acc"), score(GYRO, "turning", "dps"), score(TIME_KIND, "header_stamp")
     (8.0, 6.0, 7.0, 9.0)
@@ -160,18 +150,6 @@ def is_unit(text: str) -> bool:
 _AXIS_OF_WORD = {"x": "x", "y": "y", "z": "z", "0": "x", "1": "y", "2": "z"}
 _WITH_AXIS = [re.compile(word) for word in (r"([a-z]+)([xyz])(\d)", "(.+)([xyz])()", "()([xyz])(.+)", "(.+)([123])()")]
 """Words that contain an axis: ax1 and gyroz2 of several devices, and AccX, xacc, acc1."""
-_IN_G = re.compile(r"[xyz][ _]g", re.IGNORECASE)
-"""Names of accelerometers in g, or of gyros beside accelerometers x_a, y_a and z_a."""
-_KIND_WORDS = {ACCEL: "acc|accel|accelerometers?", GYRO: "gyr|gyros?|gyroscopes?"}
-_THERMOMETER = re.compile(
-    r"(.*_)?(t(?!\d?_[xyz])|temp(erature)?)\d?"
-    rf"(_({'|'.join(_KIND_WORDS.values())}|[xyz\d]|imu|sensors?|chip|die|deg|[ckf]|celsius|kelvin|fahrenheit"
-    "|raw|counts?|lsb|adc))*"
-)
-"""Names of thermometers, behind which kinds of sensors, axes, numbers, chips and units may follow."""
-_DIRECTION = re.compile(
-    r"roll|pitch|yaw|longitudinal|long|longit|forward|surge|lateral|lat|transverse|sway|vertical|vert|heave"
-)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -199,6 +177,11 @@ class Columns:
     ambiguous: bool = False
     turning: bool = False
 
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Columns of all triads."""
+        return tuple(column for triad in self.triads.values() for column in triad.columns)
+
 
 def columns_by_name(names: Iterable[str], *, suffixed: bool = False) -> Columns:
     """Identify the columns of a table by their names.
@@ -225,12 +208,12 @@ def columns_by_name(names: Iterable[str], *, suffixed: bool = False) -> Columns:
             others.append(stem)
         else:
             triads[kind] = _triad(kind, [by_axis[axis] for axis in "xyz"])
-    if ACCEL not in triads and GYRO in triads and all(map(_IN_G.fullmatch, triads[GYRO].columns)):
+    if ACCEL not in triads and GYRO in triads and all(map(NAMED["in_g"].fullmatch, triads[GYRO].columns)):
         triads[ACCEL] = Sensors(columns=triads.pop(GYRO).columns, unit="g")
     direction_first = {}  # roll_rate of `RateRoll`
     for name in names:
         words = re.sub(r"(roll|pitch|yaw)(?=rate|speed|vel)", r"\1_", "_".join(_words_and_unit(name)[0])).split("_")
-        direction_first[name] = "_".join(sorted(words, key=lambda word: not _DIRECTION.fullmatch(word)))
+        direction_first[name] = "_".join(sorted(words, key=lambda word: not NAMED["direction"].fullmatch(word)))
     for kind in (ACCEL, GYRO):
         directed = [next((n for n in names if score(kind, direction_first[n], axis=axis)), None) for axis in "xyz"]
         if kind not in triads and None not in directed:
@@ -404,7 +387,7 @@ def _words_and_unit(name: str) -> tuple[list[str], str]:
     for count in (2, 1):
         unit, rest = "_".join(words[-count:]), words[:-count]
         # the remaining words must be a name by themselves: with an axis, a direction or a word for time
-        is_name = _axes(rest) or any(map(_DIRECTION.fullmatch, rest)) or score(TIME_KIND, "_".join(rest))
+        is_name = _axes(rest) or any(map(NAMED["direction"].fullmatch, rest)) or score(TIME_KIND, "_".join(rest))
         is_name = is_name or any(score(GYRO, "_".join(rest), axis=axis) for axis in "xyz")
         if rest and unit in ALL_UNITS and is_name:
             return rest, unit
@@ -435,6 +418,6 @@ def thermometer(words: Sequence[str]) -> str | None:
     ('gyro', '', None)
     """
     name = "_".join(words)
-    if not _THERMOMETER.fullmatch(name):
+    if not NAMED["thermometer"].fullmatch(name):
         return None
-    return next((kind for kind, word in _KIND_WORDS.items() if re.search(f"(^|_)({word})(_|$)", name)), "")
+    return next((kind for kind in (ACCEL, GYRO) if NAMED[f"thermometer_{kind}"].search(name)), "")

@@ -13,11 +13,12 @@ import re
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 
 from tumble.recording.columns.names import ACCEL, GYRO, Columns, Sensors, in_axis_order
-from tumble.recording.columns.scales import CANDIDATES, SCALE_TOLERANCE
+from tumble.recording.columns.scales import CANDIDATES, PRIORS, SCALE_TOLERANCE
 from tumble.units import Array, BoolArray
 
 _ARRAY_ELEMENT = re.compile(r"(.*)\[\d+\]")
@@ -32,28 +33,8 @@ _UNIT_VECTOR_SPREAD = 1e-5  # of the length of a vector of constant length
 _QUATERNION_SPREAD, _QUATERNION_OFF_UNITY, _QUATERNION_CHANGE = 3e-3, 5e-3, 0.05
 """Rounded quaternions: spread of their length, offset of its mean from 1, and least spread of each element."""
 
-# Standard deviations of the terms of the cost, for small sensors
-_LENGTH = 0.05  # of gravity, from rest to rest: biases of 50 mg, scale errors of some percent
-_ZERO = 0.25  # of gravity
-_SCATTER = 0.02  # of gravity, of a sample at rest
-_NOISE = 0.5  # ln of the ratio of the noise of two axes
-_GYRO_CHANGE = 0.25  # of the readings of gyros from rest to rest, relative to their spread in motion
-# Costs
-_COUNTED = 2.0  # −2 ln of the probability of counts of data sheets; with powers of two a sixth fit by chance
-_RARE = 2.2  # −2 ln(1/3), rare against common counts in `scales`
-_NO_SCALE = 16.0  # neither a unit nor counts of data sheets
-_CARRIED = 18.0  # gyros that explain the turns of the accelerometers' vector completely, against none
-_TURNING = -0.25 * _CARRIED  # cost of turning of gyros that explain three quarters of the turns
-_OFF_TRIPLE = 1.5  # three columns that overlap two triples
-_BIAS = 0.5  # of gyros, per factor e of the ratio of their mean vector to their spread
-_MOST = 9.0  # largest cost of one deviation: three standard deviations
-_LIMIT = _COUNTED + _RARE + 1.0  # accelerometers of rare counts and one standard deviation
-_NO_GYROS = 16.0  # six sensors, three of which are not gyros
-_BEFORE, _BETWEEN, _ASKEW, _LATER = 1.0, 4.0, 6.0, 8.0
-"""Costs: gyros before the accelerometers; three columns between them; one or two between; other columns before both."""
-_AMBIGUOUS = 6.0
-"""Difference of cost at which a hypothesis is 20 times less likely than another."""
-
+_PRIOR = SimpleNamespace(**PRIORS["columns"])
+"""Standard deviations and costs."""
 _LEAST_MOVE, _LARGEST_MOVE, _FEWEST_MOVES = 0.05, 0.3, 20
 """Least change of the vector between blocks, of gravity, for a test of gyros, and least number of changes."""
 _LEAST_MOTION = 0.01  # of gravity: least scatter of each accelerometer of a body that is never at rest
@@ -62,7 +43,7 @@ _LENGTH_IN_MOTION, _SPREAD_IN_MOTION = 0.12, 0.4
 _ONE_WAY_SHARE = 0.05
 """Half of the steps of a sensor fall; at most 1 of 20 does by chance once in 50,000 cases."""
 
-MIDDLES = (128.0, 512.0, 2048.0, 8192.0, 32768.0, 2.0**23, 2.0**31)
+MIDDLES = tuple(PRIORS["numbers"]["middles"])
 """Zeros of converters without a sign."""
 
 Triple = tuple[int, int, int]
@@ -106,9 +87,13 @@ def columns_by_data(names: Sequence[str], table: Array) -> Columns:
         if triple is not None
     }
     # the rivals are a log without accelerometers, and the second hypothesis
-    margin = min([_LIMIT - best.accel_cost, *(rival.cost - best.cost for rival in rivals[:1])])
+    margin = min([_PRIOR.limit - best.accel_cost, *(rival.cost - best.cost for rival in rivals[:1])])
     return Columns(
-        time=time, time_unit=None, triads=triads, ambiguous=margin < _AMBIGUOUS, turning=best.turning < _TURNING
+        time=time,
+        time_unit=None,
+        triads=triads,
+        ambiguous=margin < _PRIOR.ambiguous,
+        turning=best.turning < _PRIOR.turning,
     )
 
 
@@ -131,29 +116,31 @@ def _ranked_hypotheses(names: Sequence[str], table: Array, columns: Sequence[int
         levels = [np.unique(column[np.isfinite(column)]) for column in table[:, triple].T]
         scatter = zip(_rests(table[:, triple], quiet)[1], levels, strict=True)
         sizes = [max(float(s), 0.5 * float(np.diff(level).min())) for s, level in scatter]
-        noise[triple] = min(float(np.std(np.log(sizes))) ** 2 / _NOISE**2, _MOST)
+        noise[triple] = min(float(np.std(np.log(sizes))) ** 2 / _PRIOR.noise**2, _PRIOR.most)
     # adjacent columns are counted in triples
     first = {j: next(k for k in range(j, -1, -1) if k - 1 not in candidates) for j in candidates}
-    off_triple = {triple: _OFF_TRIPLE * ((triple[0] - first[triple[0]]) % 3 != 0) for triple in triples}
+    off_triple = {triple: _PRIOR.off_triple * ((triple[0] - first[triple[0]]) % 3 != 0) for triple in triples}
     hypotheses: list[_Hypothesis] = []
     for accel in triples:
         # next to results of a filter, accelerometers are in a unit or in counts of data sheets
         cost = _cost_of_accelerometers(table[:, accel], quiet, filtered=bool(attitudes))
         cost += noise[accel] + off_triple[accel]
         hypotheses.append(_Hypothesis(cost=cost, accel_cost=cost, accel=accel, gyro=None))
-        for gyro in triples if cost <= _CARRIED + _LIMIT else ():
+        for gyro in triples if cost <= _PRIOR.carried + _PRIOR.limit else ():
             if not set(gyro) & set(accel):
                 turning = _cost_of_turning(table[:, gyro], table[:, accel], quiet)
-                gyro_cost = turning + _cost_of_gyros(table[:, gyro], quiet) + noise[gyro] + off_triple[gyro] - _NO_GYROS
-                gyro_cost += _BEFORE * (gyro[0] < accel[0]) + _BETWEEN * (abs(gyro[0] - accel[0]) // 3 - 1)
-                gyro_cost += _ASKEW * ((gyro[0] - accel[0]) % 3 != 0)
-                gyro_cost += _LATER * (min(gyro[0], accel[0]) >= first[accel[0]] + 3)
+                gyro_cost = turning + _cost_of_gyros(table[:, gyro], quiet) + noise[gyro] + off_triple[gyro]
+                gyro_cost -= _PRIOR.no_gyros
+                gyro_cost += _PRIOR.before * (gyro[0] < accel[0])
+                gyro_cost += _PRIOR.between * (abs(gyro[0] - accel[0]) // 3 - 1)
+                gyro_cost += _PRIOR.askew * ((gyro[0] - accel[0]) % 3 != 0)
+                gyro_cost += _PRIOR.later * (min(gyro[0], accel[0]) >= first[accel[0]] + 3)
                 accel_cost = cost + min(turning, 0.0)
                 both = _Hypothesis(
                     cost=cost + gyro_cost, accel_cost=accel_cost, accel=accel, gyro=gyro, turning=turning
                 )
                 hypotheses.append(both)
-    return sorted((h for h in hypotheses if h.accel_cost <= _LIMIT), key=lambda h: h.cost)
+    return sorted((h for h in hypotheses if h.accel_cost <= _PRIOR.limit), key=lambda h: h.cost)
 
 
 def _triads_in_motion(names: Sequence[str], table: Array, columns: Sequence[int]) -> dict[str, Sensors]:
@@ -205,15 +192,16 @@ def _cost_of_accelerometers(columns: Array, quiet: BoolArray, *, filtered: bool)
             continue
         uneven = float(lengths.std()) / length
         scale = min(
-            (np.log(length / c.value) / SCALE_TOLERANCE) ** 2 + (0.0 if c.unit else _COUNTED + _RARE * (not c.common))
+            (np.log(length / c.value) / SCALE_TOLERANCE) ** 2
+            + (0.0 if c.unit else _PRIOR.counted + _PRIOR.rare * (not c.common))
             for c in CANDIDATES[ACCEL]
             if c.unit or whole
         )
-        scale = scale if scale < _MOST + _COUNTED + _RARE else np.inf if filtered else _NO_SCALE
-        sphere = 2.0 * np.log(min(1.0, max(uneven, _LENGTH / 5.0) * length / max(spread, 1e-300)))
-        zero = is_free * float(np.abs(centre).max()) / (_ZERO * length)
-        shaken = float(np.linalg.norm(scatter)) / (_SCATTER * length)
-        costs.append((uneven / _LENGTH) ** 2 + scale + sphere + zero**2 + min(shaken**2, _MOST))
+        scale = scale if scale < _PRIOR.most + _PRIOR.counted + _PRIOR.rare else np.inf if filtered else _PRIOR.no_scale
+        sphere = 2.0 * np.log(min(1.0, max(uneven, _PRIOR.length / 5.0) * length / max(spread, 1e-300)))
+        zero = is_free * float(np.abs(centre).max()) / (_PRIOR.zero * length)
+        shaken = float(np.linalg.norm(scatter)) / (_PRIOR.scatter * length)
+        costs.append((uneven / _PRIOR.length) ** 2 + scale + sphere + zero**2 + min(shaken**2, _PRIOR.most))
     return float(min(costs, default=np.inf))
 
 
@@ -221,9 +209,9 @@ def _cost_of_gyros(columns: Array, quiet: BoolArray) -> float:
     """Return the cost of changes of three columns from rest to rest, and of a large mean at rest."""
     means, _ = _rests(columns, quiet)
     spread = float(np.linalg.norm(columns[np.isfinite(columns).all(axis=1)].std(axis=0)))
-    change = float(np.linalg.norm(means.std(axis=0))) / max(_GYRO_CHANGE * spread, 1e-300)
+    change = float(np.linalg.norm(means.std(axis=0))) / max(_PRIOR.gyro_change * spread, 1e-300)
     bias = float(np.linalg.norm(np.median(means, axis=0))) / max(spread, 1e-300)
-    return min(change**2, _MOST) + _BIAS * float(np.log1p(bias))
+    return float(min(change**2, _PRIOR.most) + _PRIOR.bias * np.log1p(bias))
 
 
 def _cost_of_turning(rates: Array, accel: Array, quiet: BoolArray) -> float:
@@ -259,7 +247,7 @@ def _cost_of_turning(rates: Array, accel: Array, quiet: BoolArray) -> float:
     matrix = rows.reshape(len(wanted), 9)
     matrix = matrix / np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
     residual = wanted - matrix @ np.linalg.lstsq(matrix, wanted, rcond=None)[0]
-    return _CARRIED * (float(residual @ residual) / float(wanted @ wanted) - 0.5)
+    return float(_PRIOR.carried * (residual @ residual / (wanted @ wanted) - 0.5))
 
 
 def differ_in_axis_alone(names: Sequence[str]) -> bool:

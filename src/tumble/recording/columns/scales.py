@@ -1,5 +1,5 @@
 """Nominal scales of accelerometers and gyros: units that programs write and counts of data sheets, with their
-frequencies in logs whose columns have no unit (scales.toml). Guesses at a unit or a scale choose from this table.
+frequencies in logs whose columns have no unit (guesses.toml). Guesses at a unit or a scale choose from this table.
 """
 
 from __future__ import annotations
@@ -19,9 +19,6 @@ SCALE_TOLERANCE = 0.06
 """Standard deviation of ln(measured scale / nominal scale), by scale errors of small sensors and errors of few
 rests."""
 
-GYRO_RANGES = (125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0)
-"""Full scales of gyros with 16 bits, °/s."""
-
 FASTEST = 4200.0 * DEGREE
 """rad/s, beyond the widest range of data sheets, 4000 °/s."""
 
@@ -29,7 +26,7 @@ COUNTS_PER = {ACCEL: "g", GYRO: "deg/s"}
 COUNTS_PER_SI = {ACCEL: G_STANDARD, GYRO: DEGREE}
 """Unit of the input in a scale of counts, and its size in SI."""
 
-FREQUENCIES: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "scales.toml").read_text(encoding="utf-8"))
+PRIORS: Mapping[str, Any] = tomllib.loads((Path(__file__).parent / "guesses.toml").read_text(encoding="utf-8"))
 _LISTED_COUNTS_SHARES = 0.03, 0.75
 """Shares of logs in counts of data sheets; a common scale is three times as frequent as a rare one."""
 
@@ -63,7 +60,7 @@ UNLISTED_COUNTS = SensorScale(value=1.0, shares=(0.005, 0.05), listed=False)
 
 def _counts(kind: str, frequency: str) -> list[float]:
     """Return the counts per g or per °/s that are "common" or "rare"."""
-    table = FREQUENCIES["counts"][kind]
+    table = PRIORS["counts"][kind]
     return [*table[frequency], *(1e3 / milli for milli in table[f"{frequency}_milli"])]
 
 
@@ -75,7 +72,7 @@ def _candidates(kind: str, units: Mapping[str, Unit]) -> tuple[SensorScale, ...]
             shares=(fractions, whole),
             increment=units[name].kind == "increment",
         )
-        for name, (fractions, whole) in FREQUENCIES["units"][kind].items()
+        for name, (fractions, whole) in PRIORS["units"][kind].items()
     ]
     rates = [scale.value for scale in named if not scale.increment]
     weights = dict.fromkeys(_counts(kind, "common"), 3.0) | dict.fromkeys(_counts(kind, "rare"), 1.0)
@@ -95,7 +92,7 @@ CANDIDATES: Mapping[str, tuple[SensorScale, ...]] = {
 
 
 _STEPS = (
-    *(full / 32768.0 for full in GYRO_RANGES),
+    *(full / 32768.0 for full in PRIORS["numbers"]["gyro_ranges"]),
     *(round(1.0 / counts, 12) for counts in (*_counts(GYRO, "common"), *_counts(GYRO, "rare"))),
 )
 """Resolutions of data sheets, °/s per count."""
@@ -127,5 +124,5 @@ def resolution_in_deg_s(readings: Array) -> float | None:
             and chance > _CHANCE_LIMIT
             and all(np.mean(np.abs(count - count.round()) <= rounding / step) >= _MULTIPLES_SHARE for count in counts)
         ):
-            return step
+            return float(step)
     return None

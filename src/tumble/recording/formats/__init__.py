@@ -9,6 +9,7 @@ and a log of ArduPilot a text. Other packages provide further readers (`tumble.p
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -16,6 +17,7 @@ from functools import partial
 from importlib import import_module
 from pathlib import Path
 from traceback import walk_tb
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -48,12 +50,11 @@ _BINARY = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 TIME = "t"
 """The time column in the rows of a message, s, on a clock common to all messages of a recording."""
 AXES = "xyz"
-PX4_CORRECTED = (
-    "PX4 has corrected sensor_combined by CAL_ACC* and CAL_GYRO* and turned it by SENS_BOARD_ROT: an export is wrong "
-    "unless these were 0 (scales 1) while recording; log the raw sensors at their rate instead (SDLOG_PROFILE)"
-)
-"""Doubt about readings of the message sensor_combined."""
 _KINDS = {"accel": ACCEL, "gyro": GYRO, "field": MAGNETOMETER}
+MESSAGES: Mapping[str, Any] = tomllib.loads(Path(__file__).with_name("messages.toml").read_text(encoding="utf-8"))
+"""Fields of messages by column and units by format, and doubts about corrected readings by the name of a column."""
+PX4_CORRECTED: str = MESSAGES["corrected"]["accelerometer_m_s2[0]"]
+"""Doubt about readings of the message sensor_combined."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

@@ -25,7 +25,7 @@ from pymavlink.DFReader import DFReader_binary, DFReader_text
 from scipy.spatial.transform import Rotation
 
 from tumble.errors import InputError
-from tumble.recording.formats import AXES, TIME, Message, triads_of
+from tumble.recording.formats import AXES, MESSAGES, TIME, Message, triads_of
 from tumble.recording.panic import COMMAND_LINE, without_panic
 from tumble.recording.session import AutopilotSensor
 
@@ -36,17 +36,8 @@ _PARAMETER = "PARM"
 _TIME = "TimeUS"
 _NAMED_INSIDE = 3  # INS_ACC3_ID, but INS4_ACC_ID
 _SECOND = 1e-6  # times are in µs
-_UNKNOWN = (
-    "ArduPilot has applied its own INS_ACCOFFS, INS_ACCSCAL, INS_GYROFFS and AHRS_ORIENTATION to these readings, which "
-    "the log does not state: an export is wrong unless they were 0 (scales 1) while recording"
-)
-_COMPENSATED = (
-    "ArduPilot has corrected these readings over temperature ({}): an export is wrong; set it to 0 and record again"
-)
 _TEMPERATURE = "temperature"
-_ACCEL = {f"accel_{a}": f"Acc{a.upper()}" for a in AXES}
-_GYRO = {f"gyro_{a}": f"Gyr{a.upper()}" for a in AXES}
-_FIELDS = {"IMU": _ACCEL | _GYRO, "ACC": _ACCEL, "GYR": _GYRO}
+_FIELDS = MESSAGES["ardupilot"]["messages"]
 _INSTANCES = {
     **{kind: (kind, 0) for kind in _FIELDS},
     **{f"{kind}{number}": (kind, number - 1) for kind in _FIELDS for number in (1, 2, 3)},
@@ -105,16 +96,16 @@ def _message(kind: str, instance: int, rows: Any, origin: float, parameters: Map
     stems = {"accel": f"{prefix}_ACC{counted}", "gyro": f"{prefix}_GYR{counted}"}
     stems = {sensor: stem for sensor, stem in stems.items() if f"{sensor}_x" in _FIELDS[kind]}
     undone, tcal = _undo(rows, names, stems, parameters), f"INS_TCAL{number}_ENABLE"
-    doubt = _COMPENSATED.format(tcal) if parameters.get(tcal) else ""
+    doubt = MESSAGES["ardupilot"]["compensated"].format(tcal) if parameters.get(tcal) else ""
     ids = {sensor: parameters.get(f"{stem}_ID") for sensor, stem in stems.items()}
     return Message(
         name=f"{kind}.{instance}",
         count=len(rows),
-        triads=triads_of(names, {"accel": "m/s^2", "gyro": "rad/s"}),
+        triads=triads_of(names, MESSAGES["ardupilot"]["units"]),
         temperatures=(_TEMPERATURE,) if warm else (),
         rows=lambda: iter([pl.DataFrame(rows[:, : len(names)], schema=names, orient="row")]),
         remark=f"ArduPilot's corrections are undone: {', '.join(undone)}" if undone else "",
-        doubt=_UNKNOWN if undone is None else doubt,
+        doubt=MESSAGES["ardupilot"]["unknown"] if undone is None else doubt,
         imu={sensor: AutopilotSensor(number=number, id=int(ids[sensor] or 0) or None) for sensor in stems},
     )
 

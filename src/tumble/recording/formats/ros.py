@@ -8,7 +8,7 @@ sensors whose first readings are all exactly zero are absent.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from operator import attrgetter
 from pathlib import Path
@@ -20,19 +20,14 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from tumble.documents import check_regular
-from tumble.recording.formats import AXES, TIME, Message, triads_of
+from tumble.recording.formats import AXES, MESSAGES, TIME, Message, triads_of
 from tumble.recording.text.pieces import check_unpacked
 
 NOTHING = "no topic of type sensor_msgs/Imu"
 
 _IMU = "sensor_msgs/msg/Imu"
-_UNITS = {"accel": "m/s^2", "gyro": "rad/s", "field": "uT"}
-_FIELDS: Mapping[str, Mapping[str, tuple[str, float]]] = {
-    _IMU: {f"accel_{axis}": (f"linear_acceleration.{axis}", 1.0) for axis in AXES}
-    | {f"gyro_{axis}": (f"angular_velocity.{axis}", 1.0) for axis in AXES},
-    "sensor_msgs/msg/MagneticField": {f"field_{axis}": (f"magnetic_field.{axis}", 1e6) for axis in AXES},
-}
-"""Columns of each type of message: the field, and the factor to the unit of the column."""
+_FIELDS, _UNITS = MESSAGES["ros"]["messages"], MESSAGES["ros"]["units"]
+_FACTORS = {"field": 1e6}  # from the unit of a field to that of its columns
 _ROWS = 1 << 15
 _FIRST_ROWS = 100
 _MCAP, _MCAP_CHUNK, _BAG = b"\x89MCAP0\r\n", 6, b"#ROSBAG V2.0\n"
@@ -94,7 +89,8 @@ def _tables(readings: Iterator[list[float]], columns: Sequence[str]) -> Iterator
 def _readings(path: Path, origin: int, topic: str) -> Iterator[list[float]]:
     """Yield the messages of a topic as the time after `origin` (ns), s, and the readings."""
     getters = {
-        kind: [(attrgetter(name), factor) for name, factor in columns.values()] for kind, columns in _FIELDS.items()
+        kind: [(attrgetter(field), _FACTORS.get(column[:-2], 1.0)) for column, field in columns.items()]
+        for kind, columns in _FIELDS.items()
     }
     for stamp, kind, message in _stamped(path, topic):
         yield [(stamp - origin) * 1e-9, *(get(message) * factor for get, factor in getters[kind])]

@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 from pyulog import ULog
 
-from tumble.recording.formats import AXES, PX4_CORRECTED, TIME, Message, triads_of
+from tumble.recording.formats import MESSAGES, PX4_CORRECTED, TIME, Message, triads_of
 from tumble.recording.session import AutopilotSensor
 
 NOTHING = "no messages sensor_accel or sensor_combined; set SDLOG_PROFILE to log the raw sensors"
@@ -25,15 +25,7 @@ NOTHING = "no messages sensor_accel or sensor_combined; set SDLOG_PROFILE to log
 _SECOND = 1e-6  # times are in µs
 _COMBINED = "sensor_combined"
 _APPLIED = re.compile(r"CAL_(ACC|GYRO)\d_[XYZ](OFF|SCALE)|SENS_BOARD_(ROT|[XYZ]_OFF)")
-_UNITS = {"accel": "m/s^2", "gyro": "rad/s", "field": "gauss"}
-_FIELDS: Mapping[str, Mapping[str, str]] = {
-    "sensor_accel": {f"accel_{axis}": axis for axis in AXES},
-    "sensor_gyro": {f"gyro_{axis}": axis for axis in AXES},
-    "sensor_mag": {f"field_{axis}": axis for axis in AXES},
-    _COMBINED: {f"accel_{axis}": f"accelerometer_m_s2[{i}]" for i, axis in enumerate(AXES)}
-    | {f"gyro_{axis}": f"gyro_rad[{i}]" for i, axis in enumerate(AXES)},
-}
-"""Columns of each message with its fields."""
+_FIELDS = MESSAGES["ulog"]["messages"]
 _THERMOMETERS = {"sensor_accel": "accel", "sensor_gyro": "gyro", "sensor_mag": "field"}
 _CALIBRATED = {"sensor_accel": ("accel", "CAL_ACC{}_ID"), "sensor_gyro": ("gyro", "CAL_GYRO{}_ID")}
 _MOST = 4  # sensors of a kind that PX4 has calibrations of
@@ -74,7 +66,7 @@ def _message(data: Any, origin: int, parameters: Mapping[str, Any]) -> Message:
     return Message(
         name=f"{data.name}.{data.multi_id}",
         count=len(values["timestamp"]),
-        triads=triads_of(fields, _UNITS),
+        triads=triads_of(fields, MESSAGES["ulog"]["units"]),
         temperatures=tuple(warmth),
         rows=partial(_rows, values, fields | warmth, origin),
         doubt=PX4_CORRECTED if data.name == _COMBINED and corrected else "",

@@ -32,41 +32,38 @@ class Row:
     time: float | None
 
 
+@dataclass(kw_only=True, slots=True)
 class Lines:
     """Parser of received bytes into rows of `columns`, of which `clock` is the time.
 
     Values are in the order of the log until a header states another one. `refused` counts the refused lines, which are
     passed to `refuse`; `last_refused` is the reason for the last one. `now` gives the time of a line of MotionCal."""
 
-    def __init__(
-        self,
-        *,
-        columns: tuple[str, ...],
-        clock: str | None,
-        refuse: Callable[[bytes], None],
-        now: Callable[[], float] = time.time,
-    ) -> None:
-        self.columns, self.clock, self._now = columns, clock, now
-        self.refused, self.last_refused = 0, ""
-        self._keep = refuse
-        self._unfinished = b""
-        self._sent_columns: list[str] = list(columns)
+    columns: tuple[str, ...]
+    clock: str | None
+    refuse: Callable[[bytes], None]
+    now: Callable[[], float] = time.time
+    refused: int = 0
+    last_refused: str = ""
+    unfinished: bytes = b""
+    header: tuple[str, ...] = ()
+
+    @property
+    def sent_columns(self) -> tuple[str, ...]:
+        """Columns of the lines: those of the latest header, by default those of the log."""
+        return self.header or self.columns
 
     @property
     def in_order(self) -> bool:
         """Whether lines have the columns of the log and no others, in its order."""
-        return self._sent_columns == list(self.columns)
-
-    def feed(self, data: bytes) -> list[Row]:
-        """Return the rows completed by the next bytes."""
-        return self.rows(self.cut(data))
+        return self.sent_columns == self.columns
 
     def cut(self, data: bytes) -> bytes:
         """Return the lines completed by the next bytes."""
-        whole, newline, self._unfinished = (self._unfinished + data).rpartition(b"\n")
-        if len(self._unfinished) > LONGEST_LINE:
-            self._refuse(self._unfinished, "no end of a line")
-            self._unfinished = b""
+        whole, newline, self.unfinished = (self.unfinished + data).rpartition(b"\n")
+        if len(self.unfinished) > LONGEST_LINE:
+            self._refuse(self.unfinished, "no end of a line")
+            self.unfinished = b""
         return whole + newline
 
     def rows(self, whole: bytes) -> list[Row]:
@@ -91,7 +88,7 @@ class Lines:
 
     def _refuse(self, raw: bytes, reason: str) -> None:
         self.refused, self.last_refused = self.refused + 1, reason
-        self._keep(raw[:LONGEST_LINE])
+        self.refuse(raw[:LONGEST_LINE])
 
     def _row(self, line: bytes) -> Row | None:
         """Return the row of a line, None for an empty line or a header. Raises ValueError with the reason otherwise."""
@@ -111,20 +108,20 @@ class Lines:
             if self.columns != MOTIONCAL_COLUMNS or len(counts) != len(MOTIONCAL_COLUMNS) - 1:
                 raise ValueError("a line of MotionCal that is not nine numbers")
             field = [repr(count / _MAGNETIC_COUNTS) for count in counts[6:]]
-            cells = [repr(self._now()), *map(str, counts[:6]), *field]
+            cells = [repr(self.now()), *map(str, counts[:6]), *field]
         else:
             values = [value.strip() for value in line.decode("utf-8", errors="replace").split(",")]
             names = [value.lstrip("\ufeff") for value in values]
             if set(self.columns) <= set(names):
-                self._sent_columns = names
+                self.header = tuple(names)
                 return None
             if not line.isascii():
                 raise ValueError("bytes that are no text")
             if not line:
                 return None
-            if len(values) != len(self._sent_columns):
-                raise ValueError(f"{len(values)} values where {len(self._sent_columns)} are expected")
-            cells = [values[self._sent_columns.index(column)] for column in self.columns]
+            if len(values) != len(self.sent_columns):
+                raise ValueError(f"{len(values)} values where {len(self.sent_columns)} are expected")
+            cells = [values[self.sent_columns.index(column)] for column in self.columns]
         try:
             numbers = [float(value) for value in cells]
         except ValueError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -53,19 +53,8 @@ class StreamedSamples:
     """Samples of the rows of one file of a log that arrive piece by piece.
 
     Times are checked, lost samples bridged and units converted as in a log that is read at once; the samples do not
-    depend on the size of the pieces.
-
-    Parameters
-    ----------
-    spec
-        Description of the log.
-    head
-        Number of rows from which the interval is taken.
-    interval
-        From sample to sample, s; if None, the median over the first `head` rows, once they have arrived.
-    file
-        Number of the file, from 0.
-    """
+    depend on the size of the pieces. `interval`, s, is by default the median over the first `head` rows, once they have
+    arrived; `file` is the number of the file, from 0."""
 
     def __init__(self, spec: LogSpec, *, head: int = _HEAD, interval: float | None = None, file: int = 0) -> None:
         self.head, self.interval, self.gaps = head, interval, list[Gap]()
@@ -100,18 +89,10 @@ class StreamedSamples:
 
 
 class SampleStream:
-    """Samples of a live source.
+    """Samples of a live source, with columns and sensors as a session describes them.
 
-    Parameters
-    ----------
-    source
-        Source of the lines.
-    session
-        Description of columns and sensors; None for a source that sends t, ax, ay, az, gx, gy, gz in s, m/s² and
-        rad/s, and a temperature in °C if its first line names such a column.
-    serial, site, gyros
-        Device, place, and whether gyros are read, for a source without a session.
-    """
+    Without a session the source sends t, ax, ay, az, gx, gy, gz in s, m/s² and rad/s, without gyros unless `gyros`, and
+    a temperature in °C if its first line names such a column."""
 
     def __init__(
         self,
@@ -128,11 +109,11 @@ class SampleStream:
                 while b"\n" not in self._before:
                     self._before += source.read(READ_SECONDS)
             log = {key: value for key, value in SI_LOG.items() if key != "file" and (gyros or key != "gyro")}
-            columns = [log["time"], *log["accel"]["columns"], *(log["gyro"]["columns"] if gyros else [])]
             first_line = self._before.partition(b"\n")[0].decode("utf-8", errors="replace")
             if TEMPERATURE in [column.strip() for column in first_line.split(",")]:
                 log[TEMPERATURE] = {"columns": [TEMPERATURE], "unit": "degC"}
-                columns.append(TEMPERATURE)
+            tables = [log[key]["columns"] for key in ("accel", "gyro", TEMPERATURE) if key in log]
+            columns = [log["time"], *chain.from_iterable(tables)]
             place = dict[str, float]()
             if site is not None:
                 place = {"gravity": site.gravity, "gravity_u": site.gravity_u}

@@ -19,8 +19,8 @@ The result does not depend on how the stream is divided into tables: rows that d
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import polars as pl
@@ -39,6 +39,9 @@ REGULAR_HINT = (
     "if the rows are equally spaced whatever their time stamps say, put regular = true in [log], or with arrays give "
     "rate= instead of time="
 )
+NUMBER, TIME, READINGS = 0, 1, slice(2, None)
+"""Columns of the rows (m, 2 + n) of a file: number of the row, from 1, time, s, and the n readings as written, of
+accelerometers, gyros, magnetometer and thermometers."""
 _SHORTEST_LOG = 2.0  # s
 _LARGEST = math.nextafter(2.0**63, 0.0)
 """Largest number that can be a reading: the limits of integers of 64 bits stand for no value, and no sensor or clock
@@ -85,7 +88,7 @@ def seconds_of_stamps(stamps: Array, spec: LogSpec) -> Array:
     return np.where(is_reading(stamps), stamps * spec.time_factor, np.nan)
 
 
-def check_time(source: LogSource, spec: LogSpec, numbers: IntArray, time: Array) -> Array:
+def check_time(source: LogSource, spec: LogSpec, numbers: Array | IntArray, time: Array) -> Array:
     """Return the steps (m − 1,) of times (m,), s, of data rows. Raises LogError unless they are finite and increase."""
     if not is_reading(time).all():
         at = int(np.argmin(is_reading(time)))
@@ -112,47 +115,6 @@ def runs_backwards(source: LogSource, spec: LogSpec, row: int, before: float, ti
     )
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class LogRows:
-    """Consecutive rows of a file.
-
-    Attributes
-    ----------
-    numbers, time
-        Numbers (m,) of the rows, from 1, and their times (m,), s.
-    values
-        Numbers (m, columns) of accelerometers, gyros, magnetometer and thermometers, as in the file.
-    unread
-        Unreadable parts by row number.
-    """
-
-    numbers: IntArray
-    time: Array
-    values: Array
-    unread: Mapping[int, Unread] = field(default_factory=dict)
-
-    def part(self, rows: slice | BoolArray) -> LogRows:
-        """Return a part of the rows."""
-        return replace(self, numbers=self.numbers[rows], time=self.time[rows], values=self.values[rows])
-
-    def times_followed_by(self, other: LogRows) -> tuple[IntArray, Array]:
-        """Return numbers and times of these rows and of the rows after them."""
-        return np.concatenate([self.numbers, other.numbers]), np.concatenate([self.time, other.time])
-
-    def followed_by(self, other: LogRows) -> LogRows:
-        """Return these rows and the rows after them."""
-        numbers, time = self.times_followed_by(other)
-        values = np.concatenate([self.values, other.values])
-        unread = {**{n: u for n, u in self.unread.items() if n in self.numbers}, **other.unread}
-        return LogRows(numbers=numbers, time=time, values=values, unread=unread)
-
-    def lost(self) -> BoolArray:
-        """Return which rows have a number that is no reading."""
-        if self.values.min(initial=0.0) >= -_LARGEST and self.values.max(initial=0.0) <= _LARGEST:
-            return np.zeros(len(self.time), dtype=bool)
-        return np.asarray(~is_reading(self.values).all(axis=1))
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Grid:
     """Times of equally spaced rows: the first and the interval, s.
@@ -170,10 +132,10 @@ class Grid:
         return np.asarray(self.start + self.interval * np.rint((time - self.start) / self.interval))
 
 
-def side_by_side(table: pl.DataFrame, columns: Sequence[str]) -> Array:
-    """Return columns of a table as an array (m, n) in column-major order."""
-    out = np.empty((len(columns), table.height))
-    for j, column in enumerate(columns):
+def side_by_side(table: pl.DataFrame, columns: Sequence[str], before: int = 0) -> Array:
+    """Return columns of a table as an array (m, before + n) in column-major order, with empty columns before them."""
+    out = np.empty((before + len(columns), table.height))
+    for j, column in enumerate(columns, before):
         out[j] = table[column].to_numpy()
     return out.T
 
@@ -183,89 +145,92 @@ class Bridge:
     """Conversion of the rows of one file to samples, with gaps bridged or left out and added to `gaps`.
 
     `last` is the last row that was passed on, always a sound one. `pending` are lost rows after it whose end is not
-    known yet; of a run too long to be bridged only the first rows are kept. `count` is the number of gaps, `first` the
-    first."""
+    known yet; of a run too long to be bridged only the first rows are kept. `unread` are the unreadable parts of the
+    rows by number; `count` is the number of gaps, `first` the first."""
 
     source: LogSource
     file: int
     spec: LogSpec
     interval: float
     gaps: list[Gap]
-    last: LogRows | None = None
-    pending: LogRows | None = None
+    last: Array | None = None
+    pending: Array = field(default_factory=lambda: np.empty((0, 0)))
+    unread: dict[int, Unread] = field(default_factory=dict)
     count: int = 0
     first: Gap | None = None
 
-    def samples(self, stream: Iterator[LogRows]) -> Iterator[tuple[Array, Array, Array]]:
+    def samples(self, stream: Iterator[tuple[Array, Sequence[Unread]]]) -> Iterator[tuple[Array, Array, Array]]:
         """Yield times and intervals, s, and numbers of all samples, interpolated if lost."""
         behind, start = 0, 0.0
-        for new in stream:
-            if not len(new.time):  # no new rows of a growing log
-                yield new.time, new.time, new.values
+        for new, unread in stream:
+            self.unread |= {u.row: u for u in unread}
+            if not len(new):  # no new rows of a growing log
+                yield new[:, TIME], new[:, TIME], new[:, READINGS]
                 continue
-            rows = new if self.pending is None else self.pending.followed_by(new)
-            lost = rows.lost()
+            rows = np.concatenate([self.pending, new]) if len(self.pending) else new
+            lost = _lost(rows)
             if self.last is None and lost.any():
                 first = len(lost) if lost.all() else int(np.argmin(lost))
-                if int(rows.numbers[0]) in rows.unread:
-                    raise unread_error(self.source, rows.unread[int(rows.numbers[0])])
+                if int(rows[0, NUMBER]) in self.unread:
+                    raise unread_error(self.source, self.unread[int(rows[0, NUMBER])])
                 if first:
-                    stop = float(rows.time[first]) if first < len(lost) else math.nan
-                    self._leave_out(rows.part(slice(0, first)), first, stop)
-                rows, lost = rows.part(slice(first, None)), lost[first:]
-            if self.last is None and len(rows.time):
-                start = float(rows.time[0])
+                    stop = float(rows[first, TIME]) if first < len(lost) else math.nan
+                    self._leave_out(rows[:first], first, stop)
+                rows, lost = rows[first:], lost[first:]
+            if self.last is None and len(rows):
+                start = float(rows[0, TIME])
             sound = len(lost) - int(np.argmin(lost[::-1])) if not lost.all() else 0
-            behind_sound = rows.part(slice(sound, sound + _BRIDGED_SAMPLES + 1))
-            self.pending = behind_sound if len(behind_sound.time) else None
-            behind = len(lost) - sound if sound else behind + len(new.time)
+            self.pending = rows[sound : sound + _BRIDGED_SAMPLES + 1]
+            behind = len(lost) - sound if sound else behind + len(new)
             if sound:
-                yield self._repaired(rows.part(slice(0, sound)), lost[:sound])
+                yield self._repaired(rows[:sound], lost[:sound])
+            ahead, pending = int(new[-1, NUMBER]), {*self.pending[:, NUMBER].astype(int).tolist()}
+            self.unread = {n: u for n, u in self.unread.items() if n > ahead or n in pending}
         # checks at the end of the file
         if self.last is None:
             raise LogError(f"{self.source.path}: expected a log, found no rows; the file is empty")
-        length = float(self.last.time[0]) - start + self.interval
+        length = float(self.last[0, TIME]) - start + self.interval
         if length < _SHORTEST_LOG * (1.0 - 1e-9):
             hint, factor = "", 1e3 * self.spec.time_factor
             unit = next((unit for unit, size in TIME_UNITS.items() if math.isclose(size, factor)), None)
             if self.spec.time is not None and not self.spec.clock and unit is not None:
                 hint = f"; is the time {self.spec.time!r} in {unit}, {1e3 * length:.6g} s? State time_unit in [log]"
             raise LogError(f"{self.source.path}: expected at least {_SHORTEST_LOG:g} s, found {length:.6g} s{hint}")
-        if self.pending is not None:
+        if len(self.pending):
             self._leave_out(self.pending, behind, math.nan)
 
-    def _leave_out(self, lost: LogRows, samples: int, stop: float) -> None:
+    def _leave_out(self, lost: Array, samples: int, stop: float) -> None:
         """Report lost samples at the start or the end of the file; `lost` are the first of them."""
-        unread = [u.what for u in lost.unread.values()][:1]
-        what = unread or [f"{value} in '{column}'" for column, value in self._not_finite(lost)[:1]]
-        row, time = int(lost.numbers[0]), float(lost.time[0])
+        what = [u.what for u in self._unread_in(lost)] + [f"{v} in '{column}'" for column, v in self._not_finite(lost)]
+        row, time = int(lost[0, NUMBER]), float(lost[0, TIME])
         gap = Gap(file=self.file, row=row, time=time, samples=samples, what=what[0], stop=stop, integrable=False)
         self.gaps.append(gap)
 
-    def _repaired(self, rows: LogRows, lost: BoolArray) -> tuple[Array, Array, Array]:
+    def _repaired(self, rows: Array, lost: BoolArray) -> tuple[Array, Array, Array]:
         """Return times, intervals and numbers of the samples of rows, with short gaps filled and long ones left out.
 
         The last row must be sound, as must any row passed on before. All returned numbers are finite."""
-        before, self.last = self.last, rows.part(slice(-1, None))
+        before, self.last = self.last, rows[-1:]
         new = 0 if before is None else 1
-        number, time = (rows.numbers, rows.time) if before is None else before.times_followed_by(rows)
+        of_both = [rows] if before is None else [before, rows]
+        number, time = (np.concatenate([part[:, column] for part in of_both]) for column in (NUMBER, TIME))
         steps = check_time(self.source, self.spec, number, time)
-        values, after_long = rows.values, np.empty(0, dtype=np.int64)
+        values, after_long = rows[:, READINGS], np.empty(0, dtype=np.int64)
         if lost.any() or steps.max(initial=0.0) > GAP_STEP * self.interval:
-            rows = rows if before is None else before.followed_by(rows)
+            rows = np.concatenate(of_both)
             # missing samples before rows 1, 2, … by their steps in time, at most one more than can be bridged
             missing = np.where(steps > GAP_STEP * self.interval, np.floor(steps / self.interval + 0.5) - 1.0, 0.0)
             missing = np.minimum(missing, _BRIDGED_SAMPLES + 1).astype(np.int64)
-            place = np.arange(len(rows.time)) + np.concatenate([[0], np.cumsum(missing)])
-            time = np.interp(np.arange(place[-1] + 1), place, rows.time)
+            place = np.arange(len(rows)) + np.concatenate([[0], np.cumsum(missing)])
+            time = np.interp(np.arange(place[-1] + 1), place, rows[:, TIME])
             absent, kept = np.ones((2, len(time)), dtype=bool)
-            absent[place] = rows.lost()
+            absent[place] = _lost(rows)
             for start, stop in (np.flatnonzero(np.diff(absent)) + 1).reshape(-1, 2).tolist():
                 self._report(rows, place, time, start, stop)
                 kept[start:stop] = stop - start <= _BRIDGED_SAMPLES
             after_long = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1) + 1
-            out = np.full((len(time), rows.values.shape[1]), np.nan, order="F")
-            out[place] = rows.values
+            out = np.full((len(time), values.shape[1]), np.nan, order="F")
+            out[place] = rows[:, READINGS]
             for column in out.T:  # linear in time between finite numbers
                 bad = ~is_reading(column)
                 if bad.any():
@@ -276,13 +241,13 @@ class Bridge:
         dt[slice(None) if self.spec.unstamped else after_long - new] = self.interval
         return time[new:], dt, values
 
-    def _report(self, rows: LogRows, place: IntArray, time: Array, start: int, stop: int) -> None:
+    def _report(self, rows: Array, place: IntArray, time: Array, start: int, stop: int) -> None:
         """Add the lost samples start … stop − 1 to the gaps; row i of `rows` is sample place[i].
 
         The gap names the first unreadable row and the first number of each column that is not finite."""
         first, end = np.searchsorted(place, [start, stop]).tolist()
-        lost = rows.part(slice(first, end))
-        unread = [lost.unread[int(n)] for n in lost.numbers if int(n) in lost.unread]
+        lost = rows[first:end]
+        unread = self._unread_in(lost)
         columns = {u.column for u in unread}
         what = [u.what for u in unread[:1]]
         what += [f"{v} in '{column}'" for column, v in self._not_finite(lost) if not columns & {column, None}]
@@ -291,7 +256,7 @@ class Bridge:
         what += ["missing samples"] if end - first < samples and not long else []
         gap = Gap(
             file=self.file,
-            row=int(rows.numbers[first]),
+            row=int(rows[first, NUMBER]),
             time=float(time[start]) if not long else float(time[start - 1]) + self.interval,
             samples=samples,
             what=" and ".join(what) or "missing samples",
@@ -307,7 +272,20 @@ class Bridge:
                 f"first here ({self.first.what}); record again"
             )
 
-    def _not_finite(self, rows: LogRows) -> list[tuple[str, float]]:
+    def _unread_in(self, rows: Array) -> list[Unread]:
+        """Return the unreadable parts of rows."""
+        return [self.unread[n] for n in rows[:, NUMBER].astype(int).tolist() if n in self.unread] if self.unread else []
+
+    def _not_finite(self, rows: Array) -> list[tuple[str, float]]:
         """Return columns with numbers that are not finite, with the first such number of each."""
-        bad, names = ~is_reading(rows.values), self.spec.readings
-        return [(names[j], float(rows.values[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))]
+        values, names = rows[:, READINGS], self.spec.readings
+        bad = ~is_reading(values)
+        return [(names[j], float(values[np.argmax(bad[:, j]), j])) for j in np.flatnonzero(bad.any(axis=0))]
+
+
+def _lost(rows: Array) -> BoolArray:
+    """Return which rows have a number that is no reading."""
+    values = rows[:, READINGS]
+    if values.min(initial=0.0) >= -_LARGEST and values.max(initial=0.0) <= _LARGEST:
+        return np.zeros(len(rows), dtype=bool)
+    return np.asarray(~is_reading(values).all(axis=1))

@@ -19,7 +19,7 @@ Stamps can be unusable as the times of rows:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,10 +31,11 @@ from tumble.recording.rows.gaps import (
     LEFT_OUT_FREE,
     LEFT_OUT_SHARE,
     MOST_GAPS,
+    NUMBER,
     REGULAR_HINT,
+    TIME,
     Gap,
     Grid,
-    LogRows,
     check_time,
     is_reading,
     runs_backwards,
@@ -95,40 +96,9 @@ def _is_late(time: Array, before: float) -> BoolArray:
     return np.asarray(time <= np.maximum.accumulate(np.concatenate([[before], time]))[: len(time)])
 
 
-def rows_of(
-    source: LogSource, spec: LogSpec, file: int, grid: Grid, gaps: list[Gap], *, on_grid: bool
-) -> Iterator[LogRows]:
-    """Yield the rows of a file that have a time, table by table, and add what is left out to `gaps`.
-
-    Parameters
-    ----------
-    source, spec
-        Reader of the file, and description of the log.
-    file
-        Number of the file, from 0.
-    grid
-        Equally spaced times.
-    gaps
-        List that is extended.
-    on_grid
-        Whether row k has time k of the grid, or the one nearest to its stamp, in place of the stamp.
-    """
-    timed = _TimedRows(source=source, spec=spec, file=file, grid=grid, on_grid=on_grid, gaps=gaps)
-    first = 1
-    for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):
-        numbers = np.arange(first, first + table.height)
-        time = np.empty(table.height) if spec.time is None else seconds_of_stamps(table[spec.time].to_numpy(), spec)
-        values = side_by_side(table, spec.readings)
-        yield timed.feed(LogRows(numbers=numbers, time=time, values=values, unread={u.row: u for u in unread}))
-        first += table.height
-    if timed.pending is not None:
-        yield timed.in_order(timed.pending, last=True)
-    timed.finish(first - 1)
-
-
 @dataclass(kw_only=True, slots=True)
-class _TimedRows:
-    """State of a stream of rows from which rows without a time of their own are left out.
+class TimedRows:
+    """The rows of a file that have a time of their own; what is left out is added to `gaps`.
 
     `count` rows were passed on, the last of them at the time `last`, s; `midnights` is added to times of day, s. The
     next table decides whether the `pending` rows leap or fall back. `falls` has, for each run of rows that fall back,
@@ -139,109 +109,120 @@ class _TimedRows:
     spec: LogSpec
     file: int
     grid: Grid
-    on_grid: bool
     gaps: list[Gap]
     count: int = 0
     last: float = -math.inf
     midnights: float = 0.0
-    pending: LogRows | None = None
+    pending: Array | None = None
     falls: list[tuple[int, int, float, float]] = field(default_factory=list)
     blank: list[Gap] = field(default_factory=list)
     left_out: int = 0
     repeated: int = 0
     first: Gap | None = None
 
-    def feed(self, rows: LogRows) -> LogRows:
+    def rows(self) -> Iterator[tuple[Array, Sequence[Unread]]]:
+        """Yield the rows in order, table by table, with their unreadable parts."""
+        spec, first = self.spec, 1
+        for table, unread in self.source.tables(spec.columns, spec.time if spec.clock else None):
+            rows = side_by_side(table, spec.readings, before=2)
+            rows[:, NUMBER] = np.arange(first, first + table.height)
+            rows[:, TIME] = 0.0 if spec.time is None else seconds_of_stamps(table[spec.time].to_numpy(), spec)
+            yield self.feed(rows, unread), unread
+            first += table.height
+        if self.pending is not None:
+            yield self.in_order(self.pending, last=True), ()
+        self.finish(first - 1)
+
+    def feed(self, rows: Array, unread: Sequence[Unread]) -> Array:
         """Add the rows of the next table, and return those, with pending ones, that have a time of their own."""
-        counted = self.on_grid and not self.grid.rounded  # stamps are ignored
+        counted = self.spec.unstamped or self.grid.jitter > 0.0  # row k has time k of the grid, whatever its stamp
         untimed = (None, self.spec.time) if not counted else ()
-        faults = [u for u in rows.unread.values() if u.kind in (Kind.NO_ROW, Kind.CUT) or u.column in untimed]
-        if not counted and not is_reading(rows.time).all():
+        faults = [u for u in unread if u.kind in (Kind.NO_ROW, Kind.CUT) or u.column in untimed]
+        if not counted and not (timed := is_reading(rows[:, TIME])).all():
             known = {u.row for u in faults}
-            without = (row for row in rows.numbers[~is_reading(rows.time)].tolist() if row not in known)
+            without = (row for row in rows[~timed, NUMBER].astype(int).tolist() if row not in known)
             faults += [Unread(row=row, column=self.spec.time, found="", kind=Kind.TEXT) for row in without]
             faults.sort(key=lambda u: u.row)
         if faults:
-            is_row = np.ones(len(rows.numbers), dtype=bool)
-            is_row[np.array([u.row for u in faults]) - rows.numbers[0]] = False
-            rows = rows.part(is_row)
+            is_row = np.ones(len(rows), dtype=bool)
+            is_row[np.array([u.row for u in faults]) - int(rows[0, NUMBER])] = False
+            rows = rows[is_row]
         if counted:
-            number = np.arange(self.count, self.count + len(rows.time), dtype=float)
-            rows = replace(rows, time=np.asarray(self.grid.start + self.grid.interval * number, dtype=float))
+            rows[:, TIME] = self.grid.start + self.grid.interval * np.arange(self.count, self.count + len(rows))
         else:
             rows = self._by_stamps(rows)
         for u in faults:
             if u.row == 1 and u.kind in (Kind.ROW, Kind.VALUE):
                 raise unread_error(self.source, u)
-            at = int(np.searchsorted(rows.numbers, u.row)) - 1
-            before = float(rows.time[at]) if at >= 0 else self.last
+            at = int(np.searchsorted(rows[:, NUMBER], u.row)) - 1
+            before = float(rows[at, TIME]) if at >= 0 else self.last
             if u.kind is not Kind.NO_ROW:
                 self._leave_out(self._gap(u.row, before, f"{u.what}: left out"))
             elif counted and u.found == BLANK_LINE:
                 gap = self._gap(u.row, before, "a blank line, which may have been a sample")
                 self.blank.append(replace(gap, stop=gap.time + self.grid.interval, integrable=False))
-        self.count += len(rows.time)
-        self.last = float(rows.time[-1]) if len(rows.time) else self.last
+        self.count += len(rows)
+        self.last = float(rows[-1, TIME]) if len(rows) else self.last
         return rows
 
     @np.errstate(invalid="ignore")  # the time before the first is -inf
-    def _by_stamps(self, rows: LogRows) -> LogRows:
+    def _by_stamps(self, rows: Array) -> Array:
         """Return rows in the order of their stamps, past midnight too, without leaping, falling or repeated stamps."""
-        if self.spec.clock and len(rows.time):
-            time = rows.time + self.midnights
+        time = rows[:, TIME]
+        if self.spec.clock and len(rows):
+            time += self.midnights
             passed = np.cumsum(np.diff(time, prepend=self.last if np.isfinite(self.last) else time[0]) < -_HALF_DAY)
             self.midnights += 2.0 * _HALF_DAY * float(passed[-1])
-            rows = replace(rows, time=time + 2.0 * _HALF_DAY * passed)
-        if self.on_grid:
-            rows = replace(rows, time=self.grid.nearest(rows.time))
-        steps = np.diff(rows.time, prepend=self.last)
+            time += 2.0 * _HALF_DAY * passed
+        if self.grid.rounded:
+            time[:] = self.grid.nearest(time)
+        steps = np.diff(time, prepend=self.last)
         rising = self.pending is None and len(steps) > _LONGEST_LEAP and steps.min() > 0.0
         if rising and steps[-_LONGEST_LEAP:].max() <= GAP_STEP * self.grid.interval:
             return rows
-        return self.in_order(rows if self.pending is None else self.pending.followed_by(rows), last=False)
+        return self.in_order(rows if self.pending is None else np.concatenate([self.pending, rows]), last=False)
 
     @np.errstate(invalid="ignore")
-    def in_order(self, rows: LogRows, *, last: bool) -> LogRows:
+    def in_order(self, rows: Array, *, last: bool) -> Array:
         """Return rows without those that leap and those whose time is not after an earlier one.
 
         Unless the rows are the `last` ones of the file, rows at the end that may leap or fall back become pending."""
-        step, unsure = GAP_STEP * self.grid.interval, None
-        leaps = leaping(rows.time, self.last, step)
+        step, unsure = GAP_STEP * self.grid.interval, rows[:0]
+        leaps = leaping(rows[:, TIME], self.last, step)
         for at in np.flatnonzero(leaps).tolist():
-            before = rows.time[:at][~leaps[:at]][-1:].tolist() or [self.last]
+            before = rows[:at][~leaps[:at]][-1:, TIME].tolist() or [self.last]
             what = "a time stamp beyond that of a row behind it: left out"
-            self._leave_out(self._gap(int(rows.numbers[at]), before[0], what))
-        rows = rows.part(~leaps) if leaps.any() else rows
-        far = np.diff(rows.time, prepend=self.last)[-_LONGEST_LEAP:] > step
+            self._leave_out(self._gap(int(rows[at, NUMBER]), before[0], what))
+        rows = rows[~leaps] if leaps.any() else rows
+        far = np.diff(rows[:, TIME], prepend=self.last)[-_LONGEST_LEAP:] > step
         if far.any() and not last:
-            first = len(rows.time) - len(far) + int(np.argmax(far))
-            unsure, rows = rows.part(slice(first, None)), rows.part(slice(0, first))
-        late = _is_late(rows.time, self.last)
+            first = len(rows) - len(far) + int(np.argmax(far))
+            unsure, rows = rows[first:], rows[:first]
+        late = _is_late(rows[:, TIME], self.last)
         end = len(late) - int(np.argmin(late[::-1])) if not late.all() else 0  # after the last row that is not late
         if last or len(late) - end > MOST_GAPS - self.left_out:
             end = len(late)
-        behind, self.pending = rows.part(slice(end, None)), unsure
-        if end < len(late):
-            self.pending = behind if unsure is None else behind.followed_by(unsure)
-        rows, late = rows.part(slice(0, end)), late[:end]
+        pending = np.concatenate([rows[end:], unsure])
+        self.pending = pending if len(pending) else None
+        rows, late = rows[:end], late[:end]
         at_late = np.flatnonzero(late)
         for run in np.split(at_late, np.flatnonzero(np.diff(at_late) > 1) + 1) if len(at_late) else ():
-            before = float(rows.time[run[0] - 1]) if run[0] else self.last
-            after = float(rows.time[run[-1] + 1]) if run[-1] + 1 < end else math.nan
-            first, count = int(rows.numbers[run[0]]), len(run)
-            falls, passed = float(rows.time[run].min()) < before, (after - before) / self.grid.interval
+            before = float(rows[run[0] - 1, TIME]) if run[0] else self.last
+            after = float(rows[run[-1] + 1, TIME]) if run[-1] + 1 < end else math.nan
+            first, count = int(rows[run[0], NUMBER]), len(run)
+            falls, passed = float(rows[run, TIME].min()) < before, (after - before) / self.grid.interval
             if falls:
-                self.falls.append((count, first, before, float(rows.time[run[0]])))
+                self.falls.append((count, first, before, float(rows[run[0], TIME])))
             if not falls or abs(passed - count - 1.0) < _PASSED_TOLERANCE:
                 what = "a time stamp before that of the row before" if falls else "the time stamp of the row before"
                 self.repeated += 0 if falls else count
-                for row in rows.numbers[run].tolist():
+                for row in rows[run, NUMBER].astype(int).tolist():
                     self._leave_out(self._gap(row, before, f"{what}: left out"))
             else:
                 gap = replace(self._gap(first, before, "time stamps that fall back"), time=before, samples=count)
                 gap = replace(gap, stop=after, integrable=False, why="the clock falls back in it")
                 self._leave_out(gap, count)
-        return rows.part(~late) if len(at_late) else rows
+        return rows[~late] if len(at_late) else rows
 
     def _gap(self, row: int, before: float, what: str) -> Gap:
         """Return a gap at a row without missing samples; `before` is the time of the row before, s."""

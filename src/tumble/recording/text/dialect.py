@@ -17,6 +17,8 @@ from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
+from tumble.recording.text.clock import is_clock
+
 LINE_BYTES = 1 << 18
 """Longest line of a log; splitting a line into values takes four hundred times its memory."""
 FIRST_ROWS = 5  # rows from which a missing name is recognised
@@ -34,28 +36,6 @@ _BOMS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF
 
 _POINT = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
 _COMMA = re.compile(r"[+-]?(\d+|\d*,\d+)([eE][+-]?\d+)?|[+-]?nan|[+-]?inf", re.IGNORECASE)
-_CLOCK = re.compile(
-    r"(\d{1,4}[-./]\d{1,2}[-./]\d{1,4}[T ]?)?\s*"
-    r"(\d{1,2}:\d{2}(:\d{2}([.,:]\d+)?|[.,]\d+)?\s*([AaPp]\.?[Mm]\.?)?\s*(Z|[+-]\d\d:?\d\d)?)?"
-)
-JOINED = (
-    r"(\d{4})[_-]?(\d{2})[_-]?(\d{2})[_ T-](\d{2})[_:-]?(\d{2})[_:-]?(\d{2})(?:[._-](\d+))?",
-    r"(\d{4})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{1,2})[_-](\d{2})[_-](\d{2})(?:[._-](\d+))?",
-)
-"""Dates with a time of day and uniform or no separators: 2026_6_15_18_21_44.62, 20260615 182144."""
-_JOINED = re.compile("|".join(JOINED))
-MONTHS = "jan", "feb", "m[aä]r|mrz", "apr", "ma[iy]", "jun", "jul", "aug", "sep", "o[ck]t", "nov", "de[cz]"
-"""Beginnings of the names of months in English and German."""
-NAMED_MONTH = (
-    r"(?i)(?P<day>\d{{1,2}})[-/. ](?:{0})[a-zä]*[-/. ](?P<year>\d{{4}})",
-    r"(?i)(?:{0})[a-zä]*\.? (?P<day>\d{{1,2}}),? (?P<year>\d{{4}})",
-    r"(?i)(?:^[a-z]{{2,3}},? +)?(?:{0}) +(?P<day>\d{{1,2}}) +"
-    r"(?P<time>\d+:\d\d:\d\d)(?: [a-z]{{3,4}})? +(?P<year>\d{{4}})",
-)
-"""Dates with the name of the month: 15-Jun-2026, Jun 15, 2026, and in the form of C, Mon Jun 15 12:34:56 2026."""
-_NAMED_MONTH = [re.compile(date.format("|".join(MONTHS))) for date in NAMED_MONTH]
-
-
 _PLAIN_LENGTH, _NOT_PLAIN = 4096, re.compile('["\r\n\0]')
 """Shorter lines without these characters can be split at their delimiters."""
 
@@ -115,13 +95,6 @@ class Top:
     names: tuple[str, ...]
     lines: int
     preamble: tuple[str, ...] = ()
-
-
-def is_clock(cell: str) -> bool:
-    """Return whether a cell is a time of day, or a date with one."""
-    for date in _NAMED_MONTH if ":" in cell else ():
-        cell = date.sub(lambda found: f"1.1.2000 {found.groupdict().get('time', '')}", cell)
-    return bool((":" in cell and _CLOCK.fullmatch(cell)) or _JOINED.fullmatch(cell))
 
 
 # -------------------- lines above the numbers --------------------
@@ -220,14 +193,14 @@ def names_of_rows(names: Sequence[str], rows: Sequence[Sequence[str]]) -> tuple[
         names = names[:-1]
     if len(names) != width - 1:
         return (*names, *[""] * (width - len(names)))
-    from tumble.recording.columns.names import is_no_sensor  # compiles its patterns, which most logs do not need
+    from tumble.recording.columns.names import NAMED, is_no_sensor  # compiles patterns, which most logs do not need
 
     wider = [cells for cells in rows if len(cells) == width]
     numbers = [cells[0].strip('"') for cells in wider]
     numbered = any(numbers == [str(first + i) for i in range(len(numbers))] for first in (0, 1))
     steps = [float(b) - float(a) for a, b in pairwise(numbers)] if all(map(_POINT.fullmatch, numbers)) else []
     even = len(steps) >= FIRST_ROWS - 1 and 0.0 < max(steps) < 2.0 * min(steps) and not is_no_sensor(names[0])
-    if all(cells[-1] for cells in wider) and (numbered or even) and not COUNTS.fullmatch(names[0]):
+    if all(cells[-1] for cells in wider) and (numbered or even) and not NAMED["counter"].fullmatch(names[0]):
         return ("", *names)
     return (*names, "")
 
@@ -239,12 +212,6 @@ def numbered(names: Sequence[str]) -> tuple[str, ...]:
         name if name and counts[name] == 1 else f"column {j}" if str(j) in counts else str(j)
         for j, name in enumerate(names, 1)
     )
-
-
-COUNTS = re.compile(
-    r"\W*(sample|packet|frame|row|seq|record)?[ _]?(count(er)?|index|idx|id|n|nr|no|number|sample|seq|row)\W*", re.I
-)
-"""Names of columns that number rows."""
 
 
 def _are_units(names: Sequence[str]) -> bool:

@@ -1,4 +1,4 @@
-"""Reader of text files of a log, and conversion of times of day and dates.
+"""Reader of text files of a log.
 
 A text file, compressed or not, is divided into pieces of whole lines, which polars parses. If polars refuses a piece or
 leaves a value empty, the piece is halved until Python reads the few lines in question one by one, which gives the place
@@ -11,10 +11,10 @@ from __future__ import annotations
 import codecs
 import csv
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
-from itertools import chain, islice, product
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -27,19 +27,16 @@ from tumble.recording.log_source import (
     LogSource,
     Tables,
     Unread,
-    in_column,
     one_ahead,
     readable,
     rows_of_numbers,
 )
 from tumble.recording.session import LogSpec
+from tumble.recording.text.clock import day_of, first_date_of, seconds_of
 from tumble.recording.text.dialect import (
     BLANKS,
     FIRST_ROWS,
-    JOINED,
     LINE_BYTES,
-    MONTHS,
-    NAMED_MONTH,
     SEEN_BYTES,
     Dialect,
     head_lines,
@@ -52,11 +49,6 @@ from tumble.units import Array
 
 _SLOW_BYTES = 1 << 14  # pieces that Python reads line by line
 
-_DATE = r"^\s*\"?(?:(\d{4})[-./](\d{1,2})[-./](\d{1,2})|(\d{1,2})[-./](\d{1,2})[-./](\d{4}))"
-_HALF = r"([AaPp]\.?[Mm]\.?)?"
-_TIME = r"(?:^|[T ])\s*(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,:](\d+))?)?\s*" + _HALF + r"\s*(Z|[+-]\d{2}:?\d{2})?\s*\"?$"
-_DAY = 86400
-
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class TextLog(LogSource):
@@ -66,14 +58,7 @@ class TextLog(LogSource):
     top: int
 
     def first_date(self, column: str) -> str | None:
-        text = self._cell(next(self.pieces(), b""), column)
-        day = day_of(text)
-        seconds = seconds_of(pl.Series([text], dtype=pl.String), day)[0] if day else None
-        if not day or seconds is None:
-            return None
-        match = re.search(_TIME, text)
-        start = datetime(1970, 1, 1, tzinfo=UTC if match and match[6] else None) + timedelta(days=day)
-        return (start + timedelta(seconds=float(seconds))).isoformat(timespec="seconds")
+        return first_date_of(self._cell(next(self.pieces(), b""), column))
 
     def read(self, columns: Sequence[str], clock: str | None) -> Tables:
         if missing := [column for column in columns if column not in self.names]:  # the first rows differ in width
@@ -105,10 +90,8 @@ class TextLog(LogSource):
 
         None if polars refuses them, leaves a value empty, or may have filled up short rows with nulls."""
         kinds = {name: pl.String if name == clock else pl.Float64 for name in columns}
-        schema = {(n if n in kinds else f"\0{j}"): kinds.get(n, pl.String) for j, n in enumerate(self.names)}
-        comma = self.dialect.decimal == ","
         try:
-            table = pl.read_csv(piece, has_header=False, schema=schema, separator=self.separator, decimal_comma=comma)
+            table = self._parsed(piece, {n if n in kinds else f"\0{j}": kinds.get(n) for j, n in enumerate(self.names)})
         except pl.exceptions.PolarsError:
             return None
         ends = np.frombuffer(piece, dtype=np.uint8) == ord("\n")  # four times as fast as `bytes.count`
@@ -126,27 +109,24 @@ class TextLog(LogSource):
         self, piece: bytes, first: int, columns: Sequence[str], clock: str | None, day: int
     ) -> tuple[pl.DataFrame, list[Unread]]:
         """Return the result of `_rows` by Python's csv and float(), with the first unreadable value of each row."""
-        ended = piece.endswith(b"\n")
         lines = piece.decode("utf-8", errors="replace").removesuffix("\n").split("\n")
         numbers = np.full((len(lines), len(columns)), np.nan)
         clocks = [""] * len(lines)
-        faults: dict[int, tuple[str, Kind, str | None]] = {}
+        faults: dict[int, Unread] = {}
         for i, line in enumerate(line.removesuffix("\r") for line in lines):
-            values: list[str] = []
-            if not line.strip() or self.dialect.is_comment(line):
-                faults[i] = line if line.strip() else BLANK_LINE, Kind.NO_ROW, None
-                continue
+            fault = partial(Unread, row=first + i, column=None)
             try:
-                values = self.cells(line)
+                values, found = self.cells(line), ""
             except csv.Error as error:
-                faults[i] = str(error), Kind.ROW, None
-                continue
-            if len(values) != len(self.names):
-                faults[i] = line.strip(), Kind.TEXT, None
-                if any(self.dialect.is_number(v.strip()) for v in values):
-                    faults[i] = f"{len(values)} values", Kind.ROW, None
-                continue
-            for j, column in enumerate(columns):
+                values, found = [], str(error)
+            is_row = any(self.dialect.is_number(v.strip()) for v in values)
+            if not line.strip() or self.dialect.is_comment(line):
+                faults[i] = fault(found=line if line.strip() else BLANK_LINE, kind=Kind.NO_ROW)
+            elif found or (len(values) != len(self.names) and is_row):
+                faults[i] = fault(found=found or f"{len(values)} values", kind=Kind.ROW)
+            elif len(values) != len(self.names):
+                faults[i] = fault(found=line.strip(), kind=Kind.TEXT)
+            for j, column in enumerate(columns if i not in faults else ()):
                 cell = values[self.names.index(column)]
                 if column == clock:
                     clocks[i] = cell
@@ -156,42 +136,44 @@ class TextLog(LogSource):
                         raise ValueError(cell)
                     numbers[i, j] = float(cell.replace(",", ".") if self.dialect.decimal == "," else cell)
                 except ValueError:
-                    faults.setdefault(i, (cell, Kind.VALUE, column))
+                    faults.setdefault(i, fault(column=column, found=cell, kind=Kind.VALUE))
         if clock is not None:
             times = seconds_of(pl.Series(clocks, dtype=pl.String), day)
             numbers[:, columns.index(clock)] = times.fill_null(np.nan).to_numpy()
             for i in np.flatnonzero(times.is_null().to_numpy()).tolist():
-                if i not in faults or faults[i][1] == Kind.VALUE:
-                    faults[i] = clocks[i], Kind.VALUE, clock
-        unread = []
-        for i, (text, kind, at) in sorted(faults.items()):
-            cut = i == len(lines) - 1 and not ended and kind != Kind.NO_ROW
-            unread.append(Unread(row=first + i, column=at, found=text, kind=Kind.CUT if cut else kind))
-        return pl.DataFrame(numbers, schema=list(columns), orient="row"), unread
+                if i not in faults or faults[i].kind == Kind.VALUE:
+                    faults[i] = Unread(row=first + i, column=clock, found=clocks[i], kind=Kind.VALUE)
+        last = len(lines) - 1
+        if last in faults and faults[last].kind != Kind.NO_ROW and not piece.endswith(b"\n"):
+            faults[last] = replace(faults[last], kind=Kind.CUT)
+        table = pl.DataFrame(numbers, schema=list(columns), orient="row")
+        return table, [fault for _, fault in sorted(faults.items())]
+
+    def _parsed(self, piece: bytes, kinds: Mapping[str, type[pl.DataType] | None]) -> pl.DataFrame:
+        """Return all columns of a piece as polars parses them, as text where no kind is stated."""
+        schema = {name: kind or pl.String for name, kind in kinds.items()}
+        comma = self.dialect.decimal == ","
+        return pl.read_csv(piece, has_header=False, schema=schema, separator=self.separator, decimal_comma=comma)
 
     def whole(self, numbers: Sequence[str]) -> Iterator[pl.DataFrame]:
         """Yield rows of all columns, `numbers` as float64.
 
         With a stated dialect unreadable numbers become NaN and lines that are no rows are left out; otherwise polars'
         errors are raised."""
-        schema = {name: pl.Float64 if name in numbers else pl.String for name in self.names}
-        comma = self.dialect.decimal == ","
-        point = pl.col(list(numbers)).str.strip_chars()
-        point = (point.str.replace(",", ".") if comma else point).cast(pl.Float64, strict=False).fill_null(np.nan)
+        mark = "," if self.dialect.decimal == "," else "."
+        number = pl.col(list(numbers)).str.strip_chars().str.replace(mark, ".", literal=True)
         with readable(self.path), rows_of_numbers(self.path):
             for piece in self.pieces():
                 try:
-                    yield pl.read_csv(
-                        piece, has_header=False, schema=schema, separator=self.separator, decimal_comma=comma
-                    )
+                    yield self._parsed(piece, {name: pl.Float64 if name in numbers else None for name in self.names})
                 except pl.exceptions.PolarsError:
                     if self.dialect == Dialect():
                         raise
                     lines = piece.decode("utf-8", errors="replace").splitlines()
                     rows = [self.dialect.cells(line) for line in lines if not self.dialect.is_comment(line)]
                     rows = [cells for cells in rows if len(cells) == len(self.names)]
-                    text = dict.fromkeys(self.names, pl.String)
-                    yield pl.DataFrame(rows, schema=text, orient="row").with_columns(point)
+                    table = pl.DataFrame(rows, schema=dict.fromkeys(self.names, pl.String), orient="row")
+                    yield table.with_columns(number.cast(pl.Float64, strict=False).fill_null(np.nan))
 
     def pieces(self) -> Iterator[bytes]:
         """Yield the rows in pieces of whole lines, with tabs in place of blanks as delimiters."""
@@ -220,8 +202,8 @@ class TextLog(LogSource):
         """Return the values in a line of a piece."""
         return next(csv.reader([line], delimiter=self.separator, skipinitialspace=True), [])
 
-    def place(self, row: int, column: str | None = None) -> str:
-        return f"{self.path}: row {row} (line {row + self.top})" + in_column(column)
+    def row_in_words(self, row: int) -> str:
+        return f"row {row} (line {row + self.top})"
 
 
 def text_log(path: Path, dialect: Dialect | None) -> TextLog:
@@ -242,49 +224,6 @@ def text_log(path: Path, dialect: Dialect | None) -> TextLog:
     if top is None:
         raise LogError(f"{path}: expected rows of numbers with log.delimiter {dialect.delimiter!r}, found none")
     return TextLog(path=path, names=top.names, dialect=dialect, top=top.lines)
-
-
-# -------------------- times of day and dates as seconds --------------------
-# ISO 8601, 31.12.2025 23:59:59,5, 23:59:59.5, 59:59.5, 11:59:59.5 PM, 2025_12_31_23_59_59.5, Wed Dec 31 23:59:59 2025
-
-
-def day_of(text: str) -> int:
-    """Return the day of a text's date, counted from 1970-01-01; 0 without a date."""
-    return int(_days(_normalised(pl.Series([text], dtype=pl.String))).fill_null(0)[0])
-
-
-def seconds_of(text: pl.Series, day: int) -> pl.Series:
-    """Return seconds since midnight of a day (`day_of`), null for text that is no time."""
-    text = _normalised(text)
-    parts = {k: text.str.extract(_TIME, k) for k in range(1, 7)}
-    hour, minute = (parts[k].cast(pl.Float64, strict=False) for k in (1, 2))
-    half = parts[5].str.slice(0, 1).str.to_lowercase()  # of the day: 12 am is its beginning, 12 pm noon
-    hour = hour.zip_with(half.is_null(), hour % 12 + 12.0 * (half == "p"))
-    second = parts[3].fill_null("0") + "." + parts[4].fill_null("0")
-    zone = parts[6].str.replace(":", "").str.extract(r"([+-]\d{4})", 1).cast(pl.Int64, strict=False).fill_null(0)
-    east = zone.sign() * (zone.abs() // 100 * 60 + zone.abs() % 100) * 60
-    days = (_days(text).fill_null(day) - day) * _DAY
-    return (days - east) + hour * 3600 + minute * 60 + second.cast(pl.Float64, strict=False)
-
-
-def _normalised(text: pl.Series) -> pl.Series:
-    """Return dates with uniform separators or names of months in ISO 8601, and Excel's minutes with hours."""
-    text = text.str.replace(r'^\s*"?(\d{1,2}:\d{2}[.,]\d+)("?)$', "00:${1}${2}")
-    for joined in JOINED:
-        text = text.str.replace(f'^\\s*"?{joined}("?)$', "${1}-${2}-${3}T${4}:${5}:${6}.${7}${8}")
-    text = text.str.replace(r'\.("?)$', "${1}")
-    if re.search("[A-Za-z]{3}", next((cell for cell in text if cell), "")):
-        for (number, month), date in product(enumerate(MONTHS, 1), NAMED_MONTH):
-            text = text.str.replace(date.format(month), f"${{year}}-{number}-${{day}} ${{time}}")
-    return text
-
-
-def _days(text: pl.Series) -> pl.Series:
-    """Return days since 1970-01-01 of dates from `_normalised`, null without a date."""
-    parts = [text.str.extract(_DATE, k) for k in range(1, 7)]
-    year, month, day = (parts[i].zip_with(parts[i].is_not_null(), parts[j]) for i, j in ((0, 5), (1, 4), (2, 3)))
-    written = year + "-" + month.str.zfill(2) + "-" + day.str.zfill(2)
-    return written.str.to_date("%Y-%m-%d", strict=False).cast(pl.Int32).cast(pl.Int64)
 
 
 def times_of(column: pl.Series, spec: LogSpec) -> Array:
