@@ -7,17 +7,30 @@ from dataclasses import dataclass, field
 
 from tumble.inference.estimate import Outcome
 from tumble.sensors.parameters import sensor_kind
-from tumble.units import DEGREE, G_STANDARD
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
 
-BIAS_UNITS: dict[str, tuple[float, str]] = {"accel": (1e-6 * G_STANDARD, "µg"), "gyro": (DEGREE / 3600.0, "°/h")}
-"""Unit (SI, name) of biases in sentences, by kind of sensor."""
 SENSORS = {"accel": "accelerometers", "gyro": "gyros"}
+BIAS_UNITS = {"accel": "µg", "gyro": "°/h"}
+_BASE_UNITS = {
+    "µg": 1e-6 * G_STANDARD,
+    "°/h": DEGREE_PER_HOUR,
+    "°": DEGREE,
+    "%": 1e-2,
+    "ppm": 1e-6,
+    "mm/s": 1e-3,
+    "ppm at 10 °/s": 1e-6 / (10.0 * DEGREE) ** 2,
+}
 
 
-def with_unit(value: float, unit: tuple[float, str]) -> str:
-    """Return a quantity (SI) with two digits in a unit (SI, name)."""
-    size, name = unit
-    return f"{value / size:.2g} {name}".replace(" °", "°")
+def in_unit(value: float, unit: str) -> float:
+    """Return a quantity (SI) in a unit such as "µg" or "µg/g²"."""
+    base, _, powers = unit.partition("/g")
+    return value / _BASE_UNITS[base] * G_STANDARD ** ({"": 1, "²": 2}[powers] if "/g" in unit else 0)
+
+
+def with_unit(value: float, unit: str) -> str:
+    """Return a quantity (SI) with two digits in a unit."""
+    return f"{in_unit(value, unit):.2g} {unit}".replace(" °", "°")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 
 from tumble.advice import Advised
-from tumble.diagnosis.causes import SHORTEST_TURN, Candidate, LinearisedSession
+from tumble.diagnosis.causes import SHORTEST_TURN, Cause, LinearisedSession
 from tumble.diagnosis.findings import Finding
 from tumble.diagnosis.projection import SumOfSquares, approximate_drops, diagnostic_solution
+from tumble.diagnosis.unusual_sizes import TURN_GROUPS
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import SCATTER, VarianceComponents
@@ -31,9 +32,8 @@ from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
 from tumble.sensors.parameters import RATE
-from tumble.units import DEGREE, Array
+from tumble.units import Array
 
-TURN_GROUPS = ("gyro.scale", "gyro.axis")  # groups of parameters that are determined by turns
 FEWEST_HELD = 3  # samples
 LEAST_MEAN_SQUARE = 1e-12  # of residuals in units of their noise; less counts as this
 SCATTER_ROUNDS = 4  # iterations of the scatter of turns
@@ -70,42 +70,29 @@ def stamps_remedy(observations: Observations) -> str:
     return jitter_hint(observations).removeprefix("; ") or "record with time stamps"
 
 
-def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list[Candidate]:
+def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list[Cause]:
     """Return a loss of samples in the turn of each session where it is most likely; none if time stamps would show it.
 
     `with_scatter` is the solution with the variance components of the estimate."""
-    about, in_velocities = session.linearised.about, session.problem.instrument.in_velocities
-    if about is None or not (any(session.has_turns) and session.observations.unstamped):
+    rows, in_velocities = session.linearised, session.problem.instrument.in_velocities
+    if rows.about is None or not (any(session.has_turns) and session.observations.unstamped):
         return []
-    axis = np.where(about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turn_axes(about, slice(None)))
-    rest, turn = session.zero_columns(2 if in_velocities else 1)
+    axis = np.where(rows.about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turn_axes(rows.about, slice(None)))
+    rest, turn = (np.zeros((*each.shape[:2], 2 if in_velocities else 1)) for each in (rows.rest, rows.turn))
     turn[:, :3, 0] = axis
     if in_velocities:
-        turn[:, 3:6, 1] = np.cross(axis, session.linearised.gained)
+        turn[:, 3:6, 1] = np.cross(axis, rows.gained)
     drops = approximate_drops(with_scatter.equations.turn_whitening @ turn, *with_scatter.turn_residuals)
-    chosen, sentences = np.zeros(len(turn)), list[str]()
+    chosen, words = np.zeros(len(turn)), list[dict[str, object]]()
     for part, observed in zip(session.problem.parts, session.observed, strict=True):
-        name = number = ""
+        words.append({"turn": "", "number": ""})
         if drops[part.turns].any() and observed.turns is not None:
             worst = int(np.argmax(drops[part.turns]))
             chosen[part.turns.start + worst] = 1.0
-            name, number = observed.turn_named(worst), str(observed.turns.first[worst] + 1)
-        sentences.append(
-            Advised(
-                f"{name} errs about its own axis by {{size}}: samples are missing or held there",
-                f"leave it out by turn = {number} in [[exclude]], and record with time stamps",
-            )
-        )
-    return [
-        Candidate(
-            name="lost samples",
-            concerns=(),
-            columns=(rest, turn * chosen[:, None, None]),
-            unit=(DEGREE, "°"),
-            sentences=sentences,
-            places=max(part.turns.stop - part.turns.start for part in session.problem.parts),
-        )
-    ]
+            words[-1] = {"turn": observed.turn_named(worst), "number": observed.turns.first[worst] + 1}
+    columns = rest, turn * chosen[:, None, None]
+    tried = max(part.turns.stop - part.turns.start for part in session.problem.parts)
+    return [Cause(name="lost samples", kind=None, columns=columns, places=tried, words=words)]
 
 
 def _turn_axes(about: IntegratedTurns, turns: slice) -> Array:

@@ -50,6 +50,7 @@ DETERMINED_HEADING = 0.05
 RELATIVE_RANK = 1e-4
 """Combinations of columns that lose all but this part of their length to the other unknowns are not determined."""
 FALSE_ALARMS = 5e-3  # probability that all tests together find something in a session in which nothing is wrong
+NO_COLUMNS = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -92,27 +93,23 @@ class Projection:
             shift=self.by_columns[:, columns] @ scaled,
         )
 
-    def p_value(self, drop: float, rank: int, before: tuple[float, int] = (0.0, 0)) -> float:
-        """Return the probability of a decrease of chi-square by chance, after that by columns fitted `before`.
+    def p_value(self, columns: IntArray, beside: IntArray = NO_COLUMNS) -> float:
+        """Return the probability that chance explains as much as columns do beyond some of them, those `beside`.
 
         With variance components, Fisher's distribution is used, as the scale of the residuals comes from themselves.
         """
+        fit, before = self.fit(columns), self.fit(beside)
+        if fit is None:
+            return 1.0
+        drop, rank = fit.drop - (before.drop if before else 0.0), fit.rank - (before.rank if before else 0)
+        remaining = self.degrees - fit.rank
+        if rank <= 0 or (self.has_scatter and remaining < 1.0):
+            return 1.0
         if not self.has_scatter:
             return float(scipy.special.chdtrc(rank, drop))
-        remaining = self.degrees - rank - before[1]
-        if remaining < 1.0:
-            return 1.0
-        chi_square = max(self.chi_square - drop - before[0], 1e-9)
+        chi_square = max(self.chi_square - fit.drop, 1e-9)
         overstated = min(1.0, self.chi_square / self.degrees)  # residuals below the stated noise prove nothing
         return float(scipy.special.fdtrc(rank, remaining, overstated * drop / rank / (chi_square / remaining)))
-
-    def p_value_beside(self, fit: ColumnFit, before: ColumnFit | None) -> float:
-        """Return the probability of the decrease by a fit beyond that by some of its columns, fitted `before`."""
-        if before is None:
-            return self.p_value(fit.drop, fit.rank)
-        if fit.rank <= before.rank:
-            return 1.0
-        return self.p_value(fit.drop - before.drop, fit.rank - before.rank, (before.drop, before.rank))
 
 
 def projections(

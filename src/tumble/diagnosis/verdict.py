@@ -9,9 +9,10 @@ import scipy
 
 from tumble.advice import Advised
 from tumble.diagnosis.findings import Finding, outcome_of, refusal, remark
-from tumble.diagnosis.misfit import misfit, unusual_groups
+from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import FALSE_ALARMS
 from tumble.diagnosis.undetermined import faces_alone, linear_names, six_faces, uncertain_gravity, undetermined
+from tumble.diagnosis.unusual_sizes import unusual_groups
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
 from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
 from tumble.inference.integral import is_poorly_sampled
