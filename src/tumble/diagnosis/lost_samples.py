@@ -14,9 +14,6 @@ show the loss; an estimate of all groups of parameters uses them, one of the lin
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 
 from tumble.advice import Advised
@@ -133,19 +130,16 @@ def scatter_of_turns_only(linearised: Linearisation) -> Solution:
     The estimate may have taken errors of rotations for scatter of rests or for large groups. Rotations and velocities
     have a scatter each, as late accelerometers affect velocities only. The scatter of jerky turns is kept, as it
     depends on the axis too and is determined from their samples."""
-    Z, component = linearised.noise.turn_directions
-    names = ("turn", "velocity") if linearised.problem.instrument.in_velocities else ("turn",)
-    directions = {name: Z[:, :, component == SCATTER.index(name)] for name in names}
-    components = VarianceComponents(aliased=linearised.components.aliased)
-    solution = diagnostic_solution(linearised, components, usual_sizes=True)
-    for step in range(SCATTER_ROUNDS):
-        W, scatter = solution.equations.turn_whitening, dict[str, Any]()
-        for name in names:
-            square = SumOfSquares.along(W @ directions[name], *solution.turn_residuals)
-            variance = getattr(components, name) ** 2 * square.square / max(square.mean, LEAST_MEAN_SQUARE)
-            scatter[name] = float(np.sqrt(square.excess_variance if step == 0 else variance))
-        components = replace(components, **scatter)
-        solution = diagnostic_solution(linearised, components, usual_sizes=True)
+    problem, (Z, component) = linearised.problem, linearised.noise.turn_directions
+    rows = linearised.with_priors(problem.with_sizes(problem.usual_u, problem.usual_local_u))
+    scatter = dict.fromkeys(("turn", "velocity")[: 1 + problem.instrument.in_velocities], 0.0)
+    for step in range(SCATTER_ROUNDS + 1):
+        solution = diagnostic_solution(rows, VarianceComponents(aliased=linearised.components.aliased, **scatter))
+        W = solution.equations.turn_whitening
+        for name in scatter if step < SCATTER_ROUNDS else ():
+            along = SumOfSquares.along(W @ Z[:, :, component == SCATTER.index(name)], *solution.turn_residuals)
+            ratio = along.square / max(along.mean, LEAST_MEAN_SQUARE)
+            scatter[name] = float(np.sqrt(along.excess_variance if step == 0 else scatter[name] ** 2 * ratio))
     return solution
 
 

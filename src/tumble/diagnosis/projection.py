@@ -116,7 +116,7 @@ def projections(
     linearised: Linearisation, components: VarianceComponents, rest: Array, turn: Array
 ) -> Iterator[Projection]:
     """Yield the projection of every session for columns (N, r, c) of the rests and (K, t, c) of the turns, SI."""
-    rows = _diagnostic_rows(linearised).with_components(components)
+    rows = _with_north_rates(linearised).with_components(components)
     problem, noise = rows.problem, rows.noise
     q, c, p, m = len(problem.local_u), rest.shape[2], len(rows.prior) - 1, len(problem.instrument.names)
     rows = rows.with_columns(rest, turn)
@@ -163,35 +163,9 @@ def projections(
         )
 
 
-def diagnostic_solution(
-    linearised: Linearisation, components: VarianceComponents, *, usual_sizes: bool = False
-) -> Solution:
-    """Solve once from where the rows were linearised.
-
-    Priors of groups are widened to the estimated sizes of the groups, or have their usual widths with `usual_sizes`.
-    """
-    return solve(_diagnostic_rows(linearised, usual_sizes), components)
-
-
-def _diagnostic_rows(linearised: Linearisation, usual_sizes: bool = False) -> Linearisation:
-    """Return the rows with the priors and noise with which residuals and causes are judged.
-
-    The prior of every group is widened to its estimated size, so that no cause gains from a prior that is too narrow.
-    """
-    problem, point = linearised.problem, linearised.point
-    if usual_sizes:
-        usual = replace(problem, prior_u=problem.usual_u, local_u=problem.usual_local_u)
-        return _with_north_rates(linearised.with_priors(usual))
-    prior_u, local_u = problem.prior_u.copy(), problem.local_u.copy()
-    off = np.append(0.0, point.values) - np.append(0.0, problem.prior_mean[1:])
-    for members in problem.instrument.members.values():
-        places = slice(members.start + 1, members.stop + 1)
-        prior_u[places] *= max(1.0, float(np.sqrt(np.mean((off[places] / prior_u[places]) ** 2))))
-    if problem.local is not None:
-        for members in problem.local.members.values():
-            places = slice(members.start - problem.local.linear_count, members.stop - problem.local.linear_count)
-            local_u[places] *= max(1.0, float(np.sqrt(np.mean((point.local[:, places] / local_u[places]) ** 2))))
-    return _with_north_rates(linearised.with_priors(replace(problem, prior_u=prior_u, local_u=local_u)))
+def diagnostic_solution(linearised: Linearisation, components: VarianceComponents) -> Solution:
+    """Solve once from where the rows were linearised, with the northward Earth's rate of unknown headings."""
+    return solve(_with_north_rates(linearised), components)
 
 
 def _with_north_rates(rows: Linearisation) -> Linearisation:
