@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+from tumble.advice import advised
 from tumble.inference.estimate import Outcome
 from tumble.sensors.parameters import sensor_kind
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
@@ -80,14 +81,14 @@ class Finding:
         return tuple(kinds) if len(kinds) == 1 else ()
 
 
-def remark(sentence: str, *concerns: str) -> Finding:
+def remark(found: str, remedy: str = "", *, concerns: tuple[str, ...] = ()) -> Finding:
     """Return a finding that does not refuse anything."""
-    return Finding(sentence=sentence, concerns=concerns)
+    return Finding(sentence=advised(found, remedy), concerns=concerns)
 
 
-def refusal(sentence: str, *concerns: str) -> Finding:
+def refusal(found: str, remedy: str = "", *, concerns: tuple[str, ...] = ()) -> Finding:
     """Return a finding that refuses the parameters it concerns."""
-    return Finding(sentence=sentence, concerns=concerns, refuses=True)
+    return Finding(sentence=advised(found, remedy), concerns=concerns, refuses=True)
 
 
 def outcome_of(findings: Iterable[Finding], unobservable: tuple[str, ...] = ()) -> Outcome:

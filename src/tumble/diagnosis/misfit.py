@@ -296,10 +296,9 @@ def _session_findings(
     for group in scattering:
         sentence = _scatter_sentence(group, linearised)
         if not group.at_rest and group.exceeds_model and not jitter_hint(observations):
-            found = found_in(sentence).removesuffix(RANDOM_IN_U)
-            yield refusal(advised(found, remedy_of(sentence)), *TURN_GROUPS)
+            yield refusal(found_in(sentence).removesuffix(RANDOM_IN_U), remedy_of(sentence), concerns=TURN_GROUPS)
         elif group.name not in reported:
-            yield remark(sentence, group.kind)
+            yield remark(sentence, concerns=(group.kind,))
     for cause in named:
         if cause not in harmful:
             sentence = prefixed("probable cause: ", cause.sentence)

@@ -132,10 +132,8 @@ def erratic_biases(linearised: Linearisation) -> Iterator[Finding]:
         change = float(size * np.sqrt(-2.0 * np.expm1(-interval / time))) if time > 0.0 else 0.0
         if change > max(MODEL_FAILURE_RATIO * noise, NEGLIGIBLE_SCATTER[kind]):
             yield refusal(
-                Advised(
-                    f"biases of the {SENSORS[kind]} change by {with_unit(change, BIAS_UNITS[kind])} from one rest to "
-                    f"the next, {change / noise:.2g} times the noise of a rest: the model does not describe this",
-                    "look at the rests with `tumble inspect`",
-                ),
-                *(kind, *(TURN_GROUPS if kind == "accel" else ())),
+                f"biases of the {SENSORS[kind]} change by {with_unit(change, BIAS_UNITS[kind])} from one rest to the "
+                f"next, {change / noise:.2g} times the noise of a rest: the model does not describe this",
+                "look at the rests with `tumble inspect`",
+                concerns=(kind, *(TURN_GROUPS if kind == "accel" else ())),
             )
