@@ -5,9 +5,8 @@ of readings, y_p = Σ_b K_pb β_pb(f, ω), in a course of time, so that their co
 instrument times this course (`LinearisedSession.columns`): a jump of biases, gyros that shift, products of forces. What
 they are called and what to do about them is in `causes.toml`.
 
-All causes are fitted at the linearisation of the estimate, without solving again (`tumble.diagnosis.projection`). A
-decrease of chi-square is judged by the noise alone, and with the variance components of the estimate. The larger
-p-value counts: with few degrees of freedom, scatter may be due to chance, or a cause may leave no residuals.
+All causes are fitted at the linearisation of the estimate, without solving again, and judged by F tests with its
+variance components (`tumble.diagnosis.projection`).
 
 Drifts are no causes: they are part of the bias processes and of the groups that vary in time, whose sizes are estimated
 (`tumble.diagnosis.misfit`). In-run biases that are large enough follow a jump of a bias, too. So a jump is judged with
@@ -71,7 +70,6 @@ class Cause:
     words: Sequence[Mapping[str, object]] = ({},)  # of its sentence, for each session or for all
     beside: int = 0  # number of last columns, of an error that resembles the cause and beside which it is judged
     places: int = 1  # number of places of which this is one
-    largest_u: float = np.inf  # SI: it is not tested where its size is more uncertain
     direct: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """By group, the change beside the effect on the rows, per unit of the size, and its standard uncertainty."""
 
@@ -94,12 +92,10 @@ def fit_causes(linearised: Linearisation, causes: Sequence[Cause]) -> list[list[
     instrument = linearised.problem.instrument
     groups = positions_by_group(instrument.names[: instrument.linear_count])
 
-    # the noise: as estimated, within rests alone, and with in-run biases of usual size
+    # the noise: as estimated, and with in-run biases of usual size
     components, in_run = linearised.components, linearised.problem.observations.in_run
     as_estimated = list(projections(linearised, components, rest, turn))
-    by_noise, with_usual, excess = as_estimated, as_estimated, np.inf
-    if as_estimated[0].has_scatter:
-        by_noise = list(projections(linearised, NO_COMPONENTS, rest, turn))
+    with_usual, excess = as_estimated, np.inf
     if components.wanders:
         sizes = {f"{kind}_in_run": min(getattr(components, f"{kind}_in_run"), in_run[kind]) for kind in in_run}
         usual = replace(components, **sizes, unlike=np.zeros(0))
@@ -108,16 +104,16 @@ def fit_causes(linearised: Linearisation, causes: Sequence[Cause]) -> list[list[
         excess = float(deviances[0] - deviances[1])  # of −2 ln L, without a jump
 
     causes_by_session = []
-    for s, (noise, estimated, steady) in enumerate(zip(by_noise, as_estimated, with_usual, strict=True)):
+    for s, (estimated, steady) in enumerate(zip(as_estimated, with_usual, strict=True)):
         best = dict[tuple[str, SensorKind | None], tuple[Finding, IntArray, Projection]]()
         for cause, own in zip(causes, columns, strict=True):
             fit, similar, judge = estimated.fit(own), own[len(own) - cause.beside :], estimated
-            if fit is None or noise.fit(own, cause.largest_u) is None:
+            if fit is None:
                 continue
             sized = (steady.fit(own) if cause.beside else None) or fit
             if cause.beside and sized.drop > excess + scipy.special.chdtri(sized.rank, FALSE_ALARMS / cause.places):
                 judge = steady
-            p_value = min(1.0, cause.places * max(each.p_value(own, similar) for each in (noise, judge)))
+            p_value = min(1.0, cause.places * judge.p_value(own, similar))
             name = cause.name, cause.kind
             if name in best and best[name][0].p_value <= p_value:
                 continue
@@ -397,8 +393,8 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Cause]:
     )
     latitudes = np.append(np.linspace(-0.5 * np.pi, 0.5 * np.pi, 1801), latitude + 1e-4)
     changes = np.array([earth_rate(each) for each in latitudes.tolist()])[:, :2] - stated[:2]
-    chi_square = np.zeros(len(changes))
-    for each in projections(rows, NO_COMPONENTS, *by_north_up):
+    chi_square, known = np.zeros(len(changes)), list(projections(rows, NO_COMPONENTS, *by_north_up))
+    for each in known:
         chi_square += ((each.residual - changes * each.length @ each.triangle.T) ** 2).sum(axis=1)
     best = int(np.argmin(chi_square))
     by_clock = {name: size for name, size in session.observations.by_clock.items() if name == group_name(name)}
@@ -408,14 +404,9 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Cause]:
         ("clock", stated[:2], {group: (size / u, size) for group, size in by_clock.items()}),
     ):
         rest, turn = (each @ along[:, None] for each in by_north_up)
-        yield Cause(
-            name=name,
-            kind=None,
-            columns=(rest, turn),
-            words=[{"degrees": latitudes[best] / DEGREE}],
-            largest_u=EARTH_RATE_U,
-            direct=direct,
-        )
+        if max(float(np.linalg.norm(each.triangle @ (along * each.length))) for each in known) * EARTH_RATE_U > 1.0:
+            words = [{"degrees": latitudes[best] / DEGREE}]
+            yield Cause(name=name, kind=None, columns=(rest, turn), words=words, direct=direct)
 
 
 # ---- rounding, which needs no columns

@@ -19,11 +19,9 @@ import numpy as np
 from tumble.advice import Advised
 from tumble.diagnosis.causes import SHORTEST_TURN, Cause, LinearisedSession
 from tumble.diagnosis.findings import Finding
-from tumble.diagnosis.projection import SumOfSquares, approximate_drops, diagnostic_solution
+from tumble.diagnosis.projection import SumOfSquares, approximate_drops
 from tumble.diagnosis.unusual_sizes import TURN_GROUPS
 from tumble.inference.integrated_turns import IntegratedTurns
-from tumble.inference.linearisation import Linearisation
-from tumble.inference.noise import SCATTER, VarianceComponents
 from tumble.inference.normal_equations import Solution
 from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
@@ -32,8 +30,6 @@ from tumble.sensors.parameters import RATE
 from tumble.units import Array
 
 FEWEST_HELD = 3  # samples
-LEAST_MEAN_SQUARE = 1e-12  # of residuals in units of their noise; less counts as this
-SCATTER_ROUNDS = 4  # iterations of the scatter of turns
 JITTER_SIGMAS = 3.0  # standard deviations of a covariance between intervals that show jitter
 SMALLEST_JITTER = 3e-3  # in intervals: jitter of time stamps that has no visible effect on turns
 
@@ -124,38 +120,20 @@ def samples_held(observations: Observations) -> Finding | None:
     )
 
 
-def scatter_of_turns_only(linearised: Linearisation) -> Solution:
-    """Solve with scatter in the rotations and velocities of turns alone, and groups of parameters of usual size.
-
-    The estimate may have taken errors of rotations for scatter of rests or for large groups. Rotations and velocities
-    have a scatter each, as late accelerometers affect velocities only. The scatter of jerky turns is kept, as it
-    depends on the axis too and is determined from their samples."""
-    problem, (Z, component) = linearised.problem, linearised.noise.turn_directions
-    rows = linearised.with_priors(problem.with_sizes(problem.usual_u, problem.usual_local_u))
-    scatter = dict.fromkeys(("turn", "velocity")[: 1 + problem.instrument.in_velocities], 0.0)
-    for step in range(SCATTER_ROUNDS + 1):
-        solution = diagnostic_solution(rows, VarianceComponents(aliased=linearised.components.aliased, **scatter))
-        W = solution.equations.turn_whitening
-        for name in scatter if step < SCATTER_ROUNDS else ():
-            along = SumOfSquares.along(W @ Z[:, :, component == SCATTER.index(name)], *solution.turn_residuals)
-            ratio = along.square / max(along.mean, LEAST_MEAN_SQUARE)
-            scatter[name] = float(np.sqrt(along.excess_variance if step == 0 else scatter[name] ** 2 * ratio))
-    return solution
-
-
-def lost_in_all_turns(session: LinearisedSession, s: int, turns_only: Solution) -> Finding:
+def lost_in_all_turns(session: LinearisedSession, s: int, with_scatter: Solution) -> Finding:
     """Return the cause that samples are missing or held in the turns of session s, from the scatter of their rotations
     about their own axes, in proportion to the angle, against that across them.
 
     Lost samples also reduce the scale factors of the gyros by the share that is lost, and change their axes. This is
     not scatter, and its size is not known from scatter. Jitter of time stamps has either sign, and no such effect.
-    `turns_only` is the solution of `scatter_of_turns_only`."""
+    `with_scatter` is the solution with the variance components of the estimate, which scatter alike in all directions.
+    """
     about, observed, part = session.linearised.about, session.observed[s], session.problem.parts[s].turns
     assert about is not None
     axis = _turn_axes(about, part)
     angle = np.sqrt(about.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
-    W = turns_only.equations.turn_whitening[part, :, :3]
-    residual, covariance = (each[part] for each in turns_only.turn_residuals)
+    W = with_scatter.equations.turn_whitening[part, :, :3]
+    residual, covariance = (each[part] for each in with_scatter.turn_residuals)
     along, across = (
         SumOfSquares.along(W @ (angle * directions), residual, covariance)
         for directions in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))

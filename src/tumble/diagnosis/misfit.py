@@ -30,7 +30,6 @@ from tumble.diagnosis.lost_samples import (
     lost_in_all_turns,
     lost_in_one_turn,
     samples_held,
-    scatter_of_turns_only,
     stamps_remedy,
 )
 from tumble.diagnosis.projection import FALSE_ALARMS, SumOfSquares, diagnostic_solution, holm_limit, projections
@@ -237,16 +236,17 @@ def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
 
 def _causes(session: LinearisedSession) -> list[list[Finding]]:
     """Return for each session its causes, one of each name and kind of sensor, the most significant first."""
-    by_p_value, linearised = attrgetter("p_value"), session.linearised
+    by_p_value, linearised, turns = attrgetter("p_value"), session.linearised, session.observations.turns
+    noise = 0.0 if turns is None else typical_noise(turns.covariance)
     with_scatter = diagnostic_solution(linearised, linearised.components)
     by_session = fit_causes(linearised, [*causes_of_session(session), *lost_in_one_turn(session, with_scatter)])
-    turns_only = scatter_of_turns_only(linearised) if any(session.has_turns) else with_scatter
     for s, causes in enumerate(by_session):
         causes += quantisation(session, s)
         lost = [cause for cause in causes if cause.cause == "lost samples"]
         held = samples_held(session.observed[s])
-        if held is None and session.has_turns[s] and turns_only.components.turn > NEGLIGIBLE_SCATTER["turn"]:
-            lost.append(lost_in_all_turns(session, s, turns_only))
+        scatters = linearised.components.turn > max(noise, NEGLIGIBLE_SCATTER["turn"])
+        if held is None and session.has_turns[s] and scatters:
+            lost.append(lost_in_all_turns(session, s, with_scatter))
         likely = held or min(lost, key=by_p_value, default=None)
         causes[:] = [cause for cause in causes if cause not in lost] + ([likely] if likely is not None else [])
         causes.sort(key=by_p_value)

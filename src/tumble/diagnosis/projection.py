@@ -74,14 +74,13 @@ class Projection:
     u: Array  # (m,): standard uncertainties of the parameters
     chi_square: float  # of all residuals
     degrees: float
-    has_scatter: bool  # whether variance components were estimated from the same residuals
 
-    def fit(self, columns: slice | IntArray, largest_u: float = np.inf) -> ColumnFit | None:
-        """Fit some of the columns; return None unless their sizes are determined to `largest_u`, SI."""
+    def fit(self, columns: slice | IntArray) -> ColumnFit | None:
+        """Fit some of the columns; return None if no combination of them is determined."""
         R, length = self.triangle[:, columns], self.length[columns]
         eigenvalue, vectors = np.linalg.eigh(R.T @ R)
         determined = eigenvalue > RELATIVE_RANK**2
-        if not determined.any() or 1.0 / np.sqrt(eigenvalue[determined].min()) > largest_u * length.max():
+        if not determined.any():
             return None
         root = vectors[:, determined] / np.sqrt(eigenvalue[determined])
         explained = root.T @ (R.T @ self.residual)
@@ -96,17 +95,14 @@ class Projection:
     def p_value(self, columns: IntArray, beside: IntArray = NO_COLUMNS) -> float:
         """Return the probability that chance explains as much as columns do beyond some of them, those `beside`.
 
-        With variance components, Fisher's distribution is used, as the scale of the residuals comes from themselves.
-        """
+        The distribution is Fisher's, as the scale of the residuals comes from themselves."""
         fit, before = self.fit(columns), self.fit(beside)
         if fit is None:
             return 1.0
         drop, rank = fit.drop - (before.drop if before else 0.0), fit.rank - (before.rank if before else 0)
         remaining = self.degrees - fit.rank
-        if rank <= 0 or (self.has_scatter and remaining < 1.0):
+        if rank <= 0 or remaining < 1.0:
             return 1.0
-        if not self.has_scatter:
-            return float(scipy.special.chdtrc(rank, drop))
         chi_square = max(self.chi_square - fit.drop, 1e-9)
         overstated = min(1.0, self.chi_square / self.degrees)  # residuals below the stated noise prove nothing
         return float(scipy.special.fdtrc(rank, remaining, overstated * drop / rank / (chi_square / remaining)))
@@ -159,7 +155,6 @@ def projections(
             u=np.sqrt(variance[1 - first : 1 - first + m]),
             chi_square=float((triangle[p:, -1] ** 2).sum()),
             degrees=max(1.0, float(kept) - 3 * len(part.link) + undetermined + others - determined),
-            has_scatter=components.wanders or bool(np.any(components.variances > 0.0)),
         )
 
 
@@ -253,11 +248,6 @@ class SumOfSquares:
         if self.degrees <= 0.0:
             return 1.0
         return float(scipy.special.chdtrc(self.degrees, self.degrees * self.square / self.mean))
-
-    @property
-    def excess_variance(self) -> float:
-        """Score estimate of a variance along the directions beside the noise."""
-        return max(0.0, self.square - self.mean) / self.half_variance if self.half_variance > 0.0 else 0.0
 
     def p_value_against(self, other: SumOfSquares) -> float:
         """Return the probability that chance exceeds the ratio to another sum, whatever their common scale."""
