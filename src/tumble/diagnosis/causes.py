@@ -27,11 +27,12 @@ import scipy
 
 from tumble.advice import Advised, advised, found_in, remedy_of
 from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, Finding, in_unit, with_unit
-from tumble.diagnosis.projection import FALSE_ALARMS, Projection, diagnostic_solution, projections
+from tumble.diagnosis.projection import FALSE_ALARMS, Projection, projections
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.integrated_turns import along_paths
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import NO_COMPONENTS
+from tumble.inference.normal_equations import solve
 from tumble.reduction.observations import Observations, extract_session
 from tumble.rotation import rotation_matrix, rotation_vector, skew
 from tumble.sensors.instrument import functions
@@ -100,7 +101,7 @@ def fit_causes(linearised: Linearisation, causes: Sequence[Cause]) -> list[list[
         sizes = {f"{kind}_in_run": min(getattr(components, f"{kind}_in_run"), in_run[kind]) for kind in in_run}
         usual = replace(components, **sizes, unlike=np.zeros(0))
         with_usual = list(projections(linearised, usual, rest, turn))
-        deviances = [diagnostic_solution(linearised, each).deviance for each in (usual, components)]
+        deviances = [solve(linearised, each).deviance for each in (usual, components)]
         excess = float(deviances[0] - deviances[1])  # of −2 ln L, without a jump
 
     causes_by_session = []

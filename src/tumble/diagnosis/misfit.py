@@ -32,7 +32,7 @@ from tumble.diagnosis.lost_samples import (
     samples_held,
     stamps_remedy,
 )
-from tumble.diagnosis.projection import FALSE_ALARMS, SumOfSquares, diagnostic_solution, holm_limit, projections
+from tumble.diagnosis.projection import FALSE_ALARMS, SumOfSquares, holm_limit, projections, with_unknown_headings
 from tumble.diagnosis.unusual_sizes import (
     IN_U,
     MODEL_FAILURE_RATIO,
@@ -54,7 +54,7 @@ from tumble.inference.noise import (
     VarianceComponents,
     typical_noise,
 )
-from tumble.inference.normal_equations import Solution
+from tumble.inference.normal_equations import Solution, solve
 from tumble.inference.problem import SessionSpan
 from tumble.reduction.observations import Observations
 from tumble.sensors.model import SensorKind
@@ -138,11 +138,11 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     than `joint` the residuals are those of the joint estimate that comes with theirs."""
     if estimate.linearised is None:
         return ()
-    linearised = _with_estimated_sizes(estimate.linearised, estimate)
+    linearised = _rows_to_judge(estimate.linearised, estimate)
     session, together = LinearisedSession(linearised), linearised.problem.observations.together
     usual = usual_sizes(estimate, linearised, UNUSUAL_RATIO)
     in_run = {name: usual.get(name, 0.0) for name in ("accel_in_run", "gyro_in_run")}
-    expected = diagnostic_solution(linearised, VarianceComponents(**in_run))
+    expected = solve(linearised, VarianceComponents(**in_run))
     groups = [
         list(_groups_of_residuals(linearised.components, expected, *each))
         for each in zip(session.observed, linearised.problem.parts, strict=True)
@@ -170,19 +170,17 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     return tuple(by_joint)
 
 
-def _with_estimated_sizes(linearised: Linearisation, estimate: Estimate) -> Linearisation:
-    """Widen the priors of groups to their sizes by the integral, where these are larger than at the maximum.
+def _rows_to_judge(linearised: Linearisation, estimate: Estimate) -> Linearisation:
+    """Return rows with unknown headings and with priors of groups as wide as their sizes by the integral.
 
-    Scatter and large groups may explain the same residuals, with a maximum of the posterior each."""
+    These may be larger than at the maximum, as scatter and large groups may explain the same residuals, with a maximum
+    of the posterior each."""
     problem, sizes = linearised.problem, {h.name: h.value for h in estimate.hyperparameters}
-    prior_u, usual_u = problem.prior_u.copy(), problem.usual_u
-    for finding in estimate.groups:
-        if finding.name in problem.instrument.members:
-            members = problem.instrument.members[finding.name]
-            places = slice(members.start + 1, members.stop + 1)
-            size = max(finding.prior_widened, sizes.get(finding.name, 1.0))
-            prior_u[places] = np.maximum(prior_u[places], size * usual_u[places])
-    return linearised.with_priors(replace(problem, prior_u=prior_u))
+    prior_u = problem.prior_u.copy()
+    for name, members in problem.instrument.members.items():
+        places = slice(members.start + 1, members.stop + 1)
+        prior_u[places] = np.maximum(prior_u[places], sizes.get(name, 0.0) * problem.usual_u[places])
+    return with_unknown_headings(linearised.with_priors(replace(problem, prior_u=prior_u)))
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -207,9 +205,9 @@ def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
 
     It is fitted with the noise within rests and the scatter that remains beside it, as the variance components of the
     estimate have taken the clock error for in-run biases."""
-    linearised = estimate.linearised
-    if linearised is None or linearised.problem.observations.together is not None:
+    if estimate.linearised is None or estimate.linearised.problem.observations.together is not None:
         return None
+    linearised = _rows_to_judge(estimate.linearised, estimate)
     session, problem = LinearisedSession(linearised), linearised.problem
     if problem.observations.gyro_block is None or problem.observations.site.latitude is None or problem.moves:
         return None
@@ -238,7 +236,7 @@ def _causes(session: LinearisedSession) -> list[list[Finding]]:
     """Return for each session its causes, one of each name and kind of sensor, the most significant first."""
     by_p_value, linearised, turns = attrgetter("p_value"), session.linearised, session.observations.turns
     noise = 0.0 if turns is None else typical_noise(turns.covariance)
-    with_scatter = diagnostic_solution(linearised, linearised.components)
+    with_scatter = solve(linearised, linearised.components)
     by_session = fit_causes(linearised, [*causes_of_session(session), *lost_in_one_turn(session, with_scatter)])
     for s, causes in enumerate(by_session):
         causes += quantisation(session, s)

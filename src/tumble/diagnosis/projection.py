@@ -11,9 +11,8 @@ B is what the other unknowns leave of the columns, and e are the residuals. All 
 is fitted by its own columns of R_c. If errors of sizes ĉ are left out, the parameters err by R_θ⁻¹ R_θc ĉ. Each of
 several sessions is judged by itself, with the triangles of the others as prior of the common parameters.
 
-A heading that the gyros hardly determine may be far from where the rows were linearised. The horizontal Earth's rate is
-linear in its cosine and sine, so its part along north is added as an unknown of each chain of rests with such a
-heading.
+A heading that the gyros hardly determine may be far from where the rows were linearised. The northward Earth's rate
+that they then predict is wrong by its own size, which is noise (`with_unknown_headings`).
 
 Degrees of freedom are the rows less the unknowns that these determine, of the parameters γ = m − tr ΛC with the
 information Λ of the priors and the covariance C (MacKay, Neural Comput. 4 (1992) 415): a device may be far better than
@@ -35,14 +34,7 @@ import scipy
 from tumble.inference.elimination import fold
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import VarianceComponents
-from tumble.inference.normal_equations import (
-    Solution,
-    eliminate_rests,
-    inverse_of,
-    session_mean_bias,
-    solve,
-    with_local_prior,
-)
+from tumble.inference.normal_equations import eliminate_rests, inverse_of, session_mean_bias, with_local_prior
 from tumble.units import Array, IntArray
 
 DETERMINED_HEADING = 0.05
@@ -112,10 +104,9 @@ def projections(
     linearised: Linearisation, components: VarianceComponents, rest: Array, turn: Array
 ) -> Iterator[Projection]:
     """Yield the projection of every session for columns (N, r, c) of the rests and (K, t, c) of the turns, SI."""
-    rows = _with_north_rates(linearised).with_components(components)
-    problem, noise = rows.problem, rows.noise
-    q, c, p, m = len(problem.local_u), rest.shape[2], len(rows.prior) - 1, len(problem.instrument.names)
-    rows = rows.with_columns(rest, turn)
+    problem, noise = linearised.problem, linearised.noise
+    q, c, m = len(problem.local_u), rest.shape[2], len(problem.instrument.names)
+    p, rows = 1 + m, linearised.with_components(components).with_columns(rest, turn)
     equations = eliminate_rests(rows)
     of_sessions = zip(equations.session_factors, rows.local_prior, strict=True)
     triangles = [with_local_prior(problem.local_u, *each)[q:, q:] for each in of_sessions]
@@ -150,23 +141,16 @@ def projections(
         yield Projection(
             triangle=triangle[p : p + c, p : p + c],
             residual=triangle[p : p + c, -1],
-            by_columns=by_columns[1 - first : 1 - first + m],
+            by_columns=by_columns[1 - first :],
             length=length,
-            u=np.sqrt(variance[1 - first : 1 - first + m]),
+            u=np.sqrt(variance[1 - first :]),
             chi_square=float((triangle[p:, -1] ** 2).sum()),
             degrees=max(1.0, float(kept) - 3 * len(part.link) + undetermined + others - determined),
         )
 
 
-def diagnostic_solution(linearised: Linearisation, components: VarianceComponents) -> Solution:
-    """Solve once from where the rows were linearised, with the northward Earth's rate of unknown headings."""
-    return solve(_with_north_rates(linearised), components)
-
-
-def _with_north_rates(rows: Linearisation) -> Linearisation:
-    """Add the northward Earth's rate, 0 ± 1 of its size, as an unknown of every chain with a poorly known heading.
-
-    In a chain of one rest it is added to the noise instead."""
+def with_unknown_headings(rows: Linearisation) -> Linearisation:
+    """Add the northward Earth's rate, 0 ± 1 of its size, to the noise where the heading is poorly known."""
     problem, noise = rows.problem, rows.noise
     gyro, n = problem.observations.gyro_block, problem.observations.accel_block.size
     if gyro is None or problem.earth[0] == 0.0:
@@ -174,15 +158,11 @@ def _with_north_rates(rows: Linearisation) -> Linearisation:
     gyro_rows = slice(n, n + gyro.size)
     variance = np.diagonal(noise.rest, axis1=1, axis2=2)[:, gyro_rows]
     information = np.bincount(problem.chain, (rows.headings[:, gyro_rows] ** 2 / variance).sum(axis=1))
-    unknown, single = information < DETERMINED_HEADING**-2, np.bincount(problem.chain) == 1
+    unknown = (information < DETERMINED_HEADING**-2)[problem.chain]
     rest, turn = north_rate_columns(rows)
-    of_single = rest * (unknown & single)[problem.chain][:, None]
-    chains = np.flatnonzero(unknown & ~single)
-    is_in = problem.chain[:, None] == chains
-    wide = rows.with_columns(rest[:, :, None] * is_in[:, None], turn[:, :, None] * is_in[problem.before_turn][:, None])
-    added = np.arange(len(rows.prior) - 1, len(wide.prior) - 1)
-    wide.prior[added, added] = 1.0
-    return replace(wide, noise=replace(noise, rest=noise.rest + of_single[:, :, None] * of_single[:, None]))
+    rest, turn = rest * unknown[:, None], turn * unknown[problem.before_turn][:, None]
+    by_rest, by_turn = (each[:, :, None] * each[:, None] for each in (rest, turn))
+    return replace(rows, noise=replace(noise, rest=noise.rest + by_rest, turn=noise.turn + by_turn))
 
 
 def north_rate_columns(rows: Linearisation) -> tuple[Array, Array]:
