@@ -26,7 +26,7 @@ import numpy as np
 import scipy
 
 from tumble.advice import Advised, advised, found_in, remedy_of
-from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, Finding, in_unit, with_unit
+from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, UNITS, Finding, with_unit
 from tumble.diagnosis.projection import FALSE_ALARMS, Projection, projections
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.integrated_turns import along_paths
@@ -426,7 +426,7 @@ def quantisation(session: LinearisedSession, s: int) -> Iterator[Finding]:
         if coarse.any():
             worst = int(np.argmax(np.where(coarse, rounding.common_u, 0.0)))
             step, noise, error = (
-                f"{two_digits(in_unit(float(each[worst]), unit))} {unit}"
+                f"{two_digits(each[worst] / UNITS[unit])} {unit}"
                 for each in (rounding.step, rounding.noise, rounding.common_u)
             )
             yield Finding(

@@ -12,26 +12,17 @@ from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
 
 SENSORS = {"accel": "accelerometers", "gyro": "gyros"}
 BIAS_UNITS = {"accel": "µg", "gyro": "°/h"}
-_BASE_UNITS = {
-    "µg": 1e-6 * G_STANDARD,
-    "°/h": DEGREE_PER_HOUR,
-    "°": DEGREE,
-    "%": 1e-2,
-    "ppm": 1e-6,
-    "mm/s": 1e-3,
-    "ppm at 10 °/s": 1e-6 / (10.0 * DEGREE) ** 2,
-}
-
-
-def in_unit(value: float, unit: str) -> float:
-    """Return a quantity (SI) in a unit such as "µg" or "µg/g²"."""
-    base, _, powers = unit.partition("/g")
-    return value / _BASE_UNITS[base] * G_STANDARD ** ({"": 1, "²": 2}[powers] if "/g" in unit else 0)
+UNITS = {
+    "µg": 1e-6 * G_STANDARD, "µg/g": 1e-6, "µg/g²": 1e-6 / G_STANDARD,
+    "°/h": DEGREE_PER_HOUR, "°/h/g": DEGREE_PER_HOUR / G_STANDARD, "°/h/g²": DEGREE_PER_HOUR / G_STANDARD**2,
+    "°": DEGREE, "%": 1e-2, "ppm": 1e-6, "ppm at 10 °/s": 1e-6 / (10.0 * DEGREE) ** 2, "mm/s": 1e-3,
+}  # fmt: skip
+"""SI values of the units in sentences."""
 
 
 def with_unit(value: float, unit: str) -> str:
     """Return a quantity (SI) with two digits in a unit."""
-    return f"{in_unit(value, unit):.2g} {unit}".replace(" °", "°")
+    return f"{value / UNITS[unit]:.2g} {unit}".replace(" °", "°")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -212,7 +212,7 @@ def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
     if problem.observations.gyro_block is None or problem.observations.site.latitude is None or problem.moves:
         return None
     errors = list(earth_rate_errors(session))
-    likely = fit_causes(linearised, errors)[0]
+    likely = fit_causes(linearised, errors)[0] if errors else []
     if not likely or likely[0].cause != "clock" or likely[0].p_value > FALSE_ALARMS:
         return None
     first = _causes(session)[0][0]
