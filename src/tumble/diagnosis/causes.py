@@ -10,8 +10,7 @@ variance components (`tumble.diagnosis.projection`).
 
 Drifts are no causes: they are part of the bias processes and of the groups that vary in time, whose sizes are estimated
 (`tumble.diagnosis.misfit`). In-run biases that are large enough follow a jump of a bias, too. So a jump is judged with
-in-run biases of usual size if these and the jump are far more likely than the larger in-run biases: if Δχ² exceeds the
-difference of both in −2 ln L by more than chance does.
+in-run biases of usual size, and its Δχ² counts less the difference of both in −2 ln L.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import scipy
 
 from tumble.advice import Advised, advised, found_in, remedy_of
 from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, UNITS, Finding, with_unit
@@ -93,28 +91,25 @@ def fit_causes(linearised: Linearisation, causes: Sequence[Cause]) -> list[list[
     instrument = linearised.problem.instrument
     groups = positions_by_group(instrument.names[: instrument.linear_count])
 
-    # the noise: as estimated, and with in-run biases of usual size
+    # the noise: as estimated or, for a jump, with in-run biases of usual size, which are less likely by `excess`
     components, in_run = linearised.components, linearised.problem.observations.in_run
     as_estimated = list(projections(linearised, components, rest, turn))
-    with_usual, excess = as_estimated, np.inf
+    with_usual, excess = as_estimated, 0.0
     if components.wanders:
         sizes = {f"{kind}_in_run": min(getattr(components, f"{kind}_in_run"), in_run[kind]) for kind in in_run}
         usual = replace(components, **sizes, unlike=np.zeros(0))
         with_usual = list(projections(linearised, usual, rest, turn))
-        deviances = [solve(linearised, each).deviance for each in (usual, components)]
-        excess = float(deviances[0] - deviances[1])  # of −2 ln L, without a jump
+        excess = float(solve(linearised, usual).deviance - solve(linearised, components).deviance)
 
     causes_by_session = []
     for s, (estimated, steady) in enumerate(zip(as_estimated, with_usual, strict=True)):
         best = dict[tuple[str, SensorKind | None], tuple[Finding, IntArray, Projection]]()
         for cause, own in zip(causes, columns, strict=True):
-            fit, similar, judge = estimated.fit(own), own[len(own) - cause.beside :], estimated
-            if fit is None:
+            judge, similar = steady if cause.beside else estimated, own[len(own) - cause.beside :]
+            fit, sized = estimated.fit(own), judge.fit(own)
+            if fit is None or sized is None:
                 continue
-            sized = (steady.fit(own) if cause.beside else None) or fit
-            if cause.beside and sized.drop > excess + scipy.special.chdtri(sized.rank, FALSE_ALARMS / cause.places):
-                judge = steady
-            p_value = min(1.0, cause.places * judge.p_value(own, similar))
+            p_value = cause.places * judge.p_value(own, similar, max(0.0, excess) if cause.beside else 0.0)
             name = cause.name, cause.kind
             if name in best and best[name][0].p_value <= p_value:
                 continue
@@ -126,7 +121,7 @@ def fit_causes(linearised: Linearisation, causes: Sequence[Cause]) -> list[list[
             found = Finding(
                 causes=(cause.name,),
                 concerns=() if cause.kind is None else (cause.kind,),
-                p_value=p_value,
+                p_value=min(1.0, p_value),
                 by_group={group: float(damage[members].max()) for group, members in groups.items()},
                 sentence=cause.sentence(s, float(np.abs(sized.values[: len(own) - cause.beside]).max())),
             )

@@ -84,16 +84,19 @@ class Projection:
             shift=self.by_columns[:, columns] @ scaled,
         )
 
-    def p_value(self, columns: IntArray, beside: IntArray = NO_COLUMNS) -> float:
+    def p_value(self, columns: IntArray, beside: IntArray = NO_COLUMNS, handicap: float = 0.0) -> float:
         """Return the probability that chance explains as much as columns do beyond some of them, those `beside`.
 
-        The distribution is Fisher's, as the scale of the residuals comes from themselves."""
+        The decrease of chi-square counts less a `handicap`. The distribution is Fisher's, as the scale of the residuals
+        comes from themselves."""
         fit, before = self.fit(columns), self.fit(beside)
         if fit is None:
             return 1.0
-        drop, rank = fit.drop - (before.drop if before else 0.0), fit.rank - (before.rank if before else 0)
+        drop, rank = fit.drop - handicap, fit.rank
+        if before is not None:
+            drop, rank = drop - before.drop, rank - before.rank
         remaining = self.degrees - fit.rank
-        if rank <= 0 or remaining < 1.0:
+        if min(drop, rank) <= 0 or remaining < 1.0:
             return 1.0
         chi_square = max(self.chi_square - fit.drop, 1e-9)
         overstated = min(1.0, self.chi_square / self.degrees)  # residuals below the stated noise prove nothing
