@@ -109,7 +109,9 @@ def fit_causes(linearised: Linearisation, causes: Sequence[Cause]) -> list[list[
             fit, sized = estimated.fit(own), judge.fit(own)
             if fit is None or sized is None:
                 continue
-            p_value = cause.places * judge.p_value(own, similar, max(0.0, excess) if cause.beside else 0.0)
+            p_value = cause.places * judge.p_value(own, similar)
+            if cause.beside:
+                p_value = max(p_value, cause.places * judge.p_value(own, handicap=max(0.0, excess)))
             name = cause.name, cause.kind
             if name in best and best[name][0].p_value <= p_value:
                 continue

@@ -12,6 +12,8 @@ from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
 
 SENSORS = {"accel": "accelerometers", "gyro": "gyros"}
 BIAS_UNITS = {"accel": "µg", "gyro": "°/h"}
+TURN_GROUPS = ("gyro.scale", "gyro.axis")  # groups of parameters that are determined by turns
+IN_U = "; u contains it"
 UNITS = {
     "µg": 1e-6 * G_STANDARD, "µg/g": 1e-6, "µg/g²": 1e-6 / G_STANDARD,
     "°/h": DEGREE_PER_HOUR, "°/h/g": DEGREE_PER_HOUR / G_STANDARD, "°/h/g²": DEGREE_PER_HOUR / G_STANDARD**2,

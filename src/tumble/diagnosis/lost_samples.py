@@ -18,9 +18,8 @@ import numpy as np
 
 from tumble.advice import Advised
 from tumble.diagnosis.causes import SHORTEST_TURN, Cause, LinearisedSession
-from tumble.diagnosis.findings import Finding
+from tumble.diagnosis.findings import TURN_GROUPS, Finding
 from tumble.diagnosis.projection import SumOfSquares, approximate_drops
-from tumble.diagnosis.unusual_sizes import TURN_GROUPS
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.normal_equations import Solution
 from tumble.recording.rows.gaps import REGULAR_HINT

@@ -24,7 +24,7 @@ from tumble.diagnosis.causes import (
     fit_causes,
     quantisation,
 )
-from tumble.diagnosis.findings import BIAS_UNITS, Finding, refusal, remark, with_unit
+from tumble.diagnosis.findings import BIAS_UNITS, IN_U, SENSORS, TURN_GROUPS, Finding, refusal, remark, with_unit
 from tumble.diagnosis.lost_samples import (
     jitter_hint,
     lost_in_all_turns,
@@ -33,17 +33,7 @@ from tumble.diagnosis.lost_samples import (
     stamps_remedy,
 )
 from tumble.diagnosis.projection import FALSE_ALARMS, SumOfSquares, holm_limit, projections, with_unknown_headings
-from tumble.diagnosis.unusual_sizes import (
-    IN_U,
-    MODEL_FAILURE_RATIO,
-    NEGLIGIBLE_SCATTER,
-    TURN_GROUPS,
-    UNUSUAL_RATIO,
-    erratic_biases,
-    unusual_groups,
-    usual_sizes,
-    varying_parameters,
-)
+from tumble.diagnosis.unusual_sizes import UNUSUAL_RATIO, unusual_groups, usual_sizes, varying_parameters
 from tumble.inference.estimate import Estimate
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import (
@@ -58,11 +48,16 @@ from tumble.inference.normal_equations import Solution, solve
 from tumble.inference.problem import SessionSpan
 from tumble.reduction.observations import Observations
 from tumble.sensors.model import SensorKind
-from tumble.units import DEGREE, two_digits
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, two_digits
 
 CAUSE_P_VALUE = 0.02  # causes of a significant scatter are named if their p-value is smaller
 LOST_SAMPLES_P_VALUE = 0.05  # lost samples are named first for turns that scatter if their p-value is smaller
 MOST_CAUSES = 3  # causes that are named
+MODEL_FAILURE_RATIO = 30.0
+"""Scatter over noise above which the model fails: then the errors of turns are not random, and gyro parameters from
+turns are refused."""
+NEGLIGIBLE_SCATTER = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2e-5, "velocity": 1e-3}
+"""m/s², rad/s, rad, m/s: scatter without effect on any use of an inertial unit, however small the noise of the log."""
 CHANGES = ("jump", "shift")  # causes by which parameters are others before than after
 MOVEMENT_RATIO = 10.0
 """Scatter over noise of turns, relative to that of gyros at rest, above which turns have a cause of their own."""
@@ -301,7 +296,28 @@ def _session_findings(
         if cause not in harmful:
             sentence = prefixed("probable cause: ", cause.sentence)
             yield replace(cause, sentence=sentence, unsteady=cause.cause in CHANGES)
-    yield from erratic_biases(linearised)
+    yield from _erratic_biases(linearised)
+
+
+def _erratic_biases(linearised: Linearisation) -> Iterator[Finding]:
+    """Refuse sensors whose biases change from rest to rest by more than MODEL_FAILURE_RATIO times the noise of a rest.
+
+    The in-run bias changes by σ_b √(2 − 2 e^{−Δt/τ}). In-run instability and warm-up change it by a few times the
+    noise; a larger change is an error that is no bias. Turns are compared with the verticals of the accelerometers,
+    whose errors therefore spoil the scale factors and axes of the gyros as well."""
+    rests, components = linearised.problem.observations.rests, linearised.components
+    interval = float(np.median(np.diff(0.5 * (rests.start + rests.stop)))) if len(rests) > 1 else 0.0
+    for block in linearised.problem.instrument.blocks:
+        kind, noise = block.kind, typical_noise(getattr(rests, f"{block.kind}_covariance"))
+        size, time = getattr(components, f"{kind}_in_run"), getattr(components, f"{kind}_time")
+        change = float(size * np.sqrt(-2.0 * np.expm1(-interval / time))) if time > 0.0 else 0.0
+        if change > max(MODEL_FAILURE_RATIO * noise, NEGLIGIBLE_SCATTER[kind]):
+            yield refusal(
+                f"biases of the {SENSORS[kind]} change by {with_unit(change, BIAS_UNITS[kind])} from one rest to the "
+                f"next, {change / noise:.2g} times the noise of a rest: the model does not describe this",
+                "look at the rests with `tumble inspect`",
+                concerns=(kind, *(TURN_GROUPS if kind == "accel" else ())),
+            )
 
 
 def _scatter_sentence(group: GroupOfResiduals, linearised: Linearisation) -> str:

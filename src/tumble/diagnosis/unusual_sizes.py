@@ -7,25 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 
 from tumble.advice import Advised, advised
-from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, Finding, refusal, with_unit
+from tumble.diagnosis.findings import BIAS_UNITS, IN_U, SENSORS, Finding, with_unit
 from tumble.inference.estimate import Estimate, HyperparameterEstimate
 from tumble.inference.linearisation import Linearisation
-from tumble.inference.noise import typical_noise
 from tumble.sensors.parameters import group_of, shown_in
-from tumble.units import DEGREE_PER_HOUR, G_STANDARD, two_digits
+from tumble.units import two_digits
 
 UNUSUAL_RATIO = 3.0
 """Ratio to the usual size above which, by the lower limit of the 68 % interval, an in-run bias or a drift is reported,
 and the in-run bias of one sensor against those of its kind."""
 UNUSUAL_GROUP_RATIO, WIDENED_RATIO = 5.0, 10.0
 """The same for the size of a group of parameters, and for the widening of its prior at the maximum."""
-MODEL_FAILURE_RATIO = 30.0
-"""Scatter over noise above which the model fails: then the errors of turns are not random, and gyro parameters from
-turns are refused."""
-NEGLIGIBLE_SCATTER = {"accel": 5e-6 * G_STANDARD, "gyro": 0.02 * DEGREE_PER_HOUR, "turn": 2e-5, "velocity": 1e-3}
-"""m/s², rad/s, rad, m/s: scatter without effect on any use of an inertial unit, however small the noise of the log."""
-TURN_GROUPS = ("gyro.scale", "gyro.axis")  # groups of parameters that are determined by turns
-IN_U = "; u contains it"
 
 
 def unusual_groups(estimate: Estimate) -> Iterator[Finding]:
@@ -116,24 +108,3 @@ def varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterato
                 wander = with_unit(ratio.value * size.value, unit)
                 found = f"{kind}.bias.{sensor} wanders by {wander}, those of the other {words} by {in_run}"
                 yield finding("wandering sensor", f"{kind}.bias", found)
-
-
-def erratic_biases(linearised: Linearisation) -> Iterator[Finding]:
-    """Refuse sensors whose biases change from rest to rest by more than MODEL_FAILURE_RATIO times the noise of a rest.
-
-    The in-run bias changes by σ_b √(2 − 2 e^{−Δt/τ}). In-run instability and warm-up change it by a few times the
-    noise; a larger change is an error that is no bias. Turns are compared with the verticals of the accelerometers,
-    whose errors therefore spoil the scale factors and axes of the gyros as well."""
-    rests, components = linearised.problem.observations.rests, linearised.components
-    interval = float(np.median(np.diff(0.5 * (rests.start + rests.stop)))) if len(rests) > 1 else 0.0
-    for block in linearised.problem.instrument.blocks:
-        kind, noise = block.kind, typical_noise(getattr(rests, f"{block.kind}_covariance"))
-        size, time = getattr(components, f"{kind}_in_run"), getattr(components, f"{kind}_time")
-        change = float(size * np.sqrt(-2.0 * np.expm1(-interval / time))) if time > 0.0 else 0.0
-        if change > max(MODEL_FAILURE_RATIO * noise, NEGLIGIBLE_SCATTER[kind]):
-            yield refusal(
-                f"biases of the {SENSORS[kind]} change by {with_unit(change, BIAS_UNITS[kind])} from one rest to the "
-                f"next, {change / noise:.2g} times the noise of a rest: the model does not describe this",
-                "look at the rests with `tumble inspect`",
-                concerns=(kind, *(TURN_GROUPS if kind == "accel" else ())),
-            )

@@ -197,7 +197,8 @@ def _of_motion(estimate: Estimate, observations: Observations, missing: tuple[st
     the prior, and scale factors and axes contain them."""
     links, linearised = observations.links, estimate.linearised
     assert links is not None
-    recorded = _recorded(observations, f"{float(links.duration.sum()):.0f} s of motion")
+    n = len(observations.rests)
+    recorded = f"{n} rest{'s' * (n != 1)} and {float(links.duration.sum()):.0f} s of motion"
     advice = (
         "turn it for two minutes about a point that stays in place, a tripod head or a ball joint, through all "
         "attitudes, or put it down in nine or more positions (`tumble programme` shows them)"
@@ -218,12 +219,6 @@ def _of_motion(estimate: Estimate, observations: Observations, missing: tuple[st
     elif displacement > LARGEST_DISPLACEMENT and not missing:
         yield refusal(f"the device moved by {displacement:.1f} m in motion", "keep it in one place")
     yield from unusual_groups(estimate)
-
-
-def _recorded(observations: Observations, motion: str) -> str:
-    """Return the number of rests of a recording and its `motion` in words."""
-    n = len(observations.rests)
-    return f"{n} rest{'s' * (n != 1)} and {motion}"
 
 
 def improves(moving: Estimate, at_rest: Estimate) -> bool:
@@ -251,10 +246,10 @@ def motion_note(estimate: Estimate, observations: Observations) -> tuple[str, ..
     links, linearised = observations.links, estimate.linearised
     if links is None or linearised is None:
         return ()
-    lever = linearised.point.local[0, -LEVER_COLUMNS - SUPPORT_COLUMNS : -SUPPORT_COLUMNS]
+    n, lever = len(observations.rests), linearised.point.local[0, -LEVER_COLUMNS - SUPPORT_COLUMNS : -SUPPORT_COLUMNS]
     place, size = ", ".join(f"{1e3 * x:.0f}" for x in lever), 1e3 * float(linearised.components.displacement)
     return (
-        f"{IN_MOTION}, from {_recorded(observations, f'{float(links.duration.sum()):.0f} s of it')}: "
+        f"{IN_MOTION}, from {n} rest{'s' * (n != 1)} and {float(links.duration.sum()):.0f} s of it: "
         f"the device turned, to within {size:.2g} mm, about a point from which its accelerometers are at ({place}) mm",
     )
 
