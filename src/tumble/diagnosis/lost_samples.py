@@ -69,7 +69,7 @@ def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list
     rows, in_velocities = session.linearised, session.problem.instrument.in_velocities
     if rows.about is None or not (any(session.has_turns) and session.observations.unstamped):
         return []
-    axis = np.where(rows.about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turn_axes(rows.about, slice(None)))
+    axis = np.where(rows.about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turn_axes(rows.about))
     rest, turn = (np.zeros((*each.shape[:2], 2 if in_velocities else 1)) for each in (rows.rest, rows.turn))
     turn[:, :3, 0] = axis
     if in_velocities:
@@ -87,9 +87,9 @@ def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list
     return [Cause(name="lost samples", kind=None, columns=columns, places=tried, words=words)]
 
 
-def _turn_axes(about: IntegratedTurns, turns: slice) -> Array:
+def _turn_axes(about: IntegratedTurns) -> Array:
     """Return the axis (K, 3) of each turn, zero where nothing turned."""
-    path = np.einsum("kipp->ki", about.moments.Phi[turns][..., RATE])
+    path = np.einsum("kipp->ki", about.moments.Phi[..., RATE])
     return np.asarray(path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9))
 
 
@@ -98,14 +98,10 @@ def samples_held(observations: Observations) -> Finding | None:
     samples = observations.turn_samples
     if samples is None:
         return None
-    rows = same = 0
-    same_in_column = np.zeros(6, dtype=np.int64)
-    for start, stop in zip(samples.start.tolist(), samples.stop.tolist(), strict=True):
-        rates, forces, _ = samples.samples.read(start, stop)
-        equal = [column[1:] == column[:-1] for column in (*rates.T, *forces.T)]
-        rows, same = rows + len(equal[0]), same + int(np.count_nonzero(np.logical_and.reduce(equal)))
-        same_in_column += [np.count_nonzero(column) for column in equal]
-    fewest = same_in_column.min()
+    turns = zip(samples.start.tolist(), samples.stop.tolist(), strict=True)
+    readings = (np.column_stack(samples.samples.read(start, stop)[:2]) for start, stop in turns)
+    equal = np.concatenate([np.zeros((0, 6), dtype=bool), *(each[1:] == each[:-1] for each in readings)])
+    rows, same, fewest = len(equal), int(equal.all(axis=1).sum()), int(equal.sum(axis=0).min())
     if same < FEWEST_HELD or same < 0.8 * fewest or fewest > 0.5 * rows:
         return None
     return Finding(
@@ -129,7 +125,7 @@ def lost_in_all_turns(session: LinearisedSession, s: int, with_scatter: Solution
     """
     about, observed, part = session.linearised.about, session.observed[s], session.problem.parts[s].turns
     assert about is not None
-    axis = _turn_axes(about, part)
+    axis = _turn_axes(about)[part]
     angle = np.sqrt(about.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
     W = with_scatter.equations.turn_whitening[part, :, :3]
     residual, covariance = (each[part] for each in with_scatter.turn_residuals)

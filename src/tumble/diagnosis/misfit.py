@@ -200,12 +200,13 @@ def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
 
     It is fitted with the noise within rests and the scatter that remains beside it, as the variance components of the
     estimate have taken the clock error for in-run biases."""
-    if estimate.linearised is None or estimate.linearised.problem.observations.together is not None:
+    if estimate.linearised is None or estimate.linearised.problem.moves:
+        return None
+    problem, observations = estimate.linearised.problem, estimate.linearised.problem.observations
+    if observations.together is not None or observations.gyro_block is None or observations.site.latitude is None:
         return None
     linearised = _rows_to_judge(estimate.linearised, estimate)
-    session, problem = LinearisedSession(linearised), linearised.problem
-    if problem.observations.gyro_block is None or problem.observations.site.latitude is None or problem.moves:
-        return None
+    session = LinearisedSession(linearised)
     errors = list(earth_rate_errors(session))
     likely = fit_causes(linearised, errors)[0] if errors else []
     if not likely or likely[0].cause != "clock" or likely[0].p_value > FALSE_ALARMS:
