@@ -413,8 +413,8 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Cause]:
 def quantisation(session: LinearisedSession, s: int) -> Iterator[Finding]:
     """Yield kinds of sensors of session s whose rounding errors are large beside the noise of the mean of a rest."""
     rests = session.problem.parts[s].rests
-    for kind, unit in BIAS_UNITS.items():
-        rounding = session.observations.rounding.get(kind)
+    for kind in session.blocks:
+        unit, rounding = BIAS_UNITS[kind], session.observations.rounding.get(kind)
         if rounding is None or not rounding.common_u.any():
             continue
         covariance = getattr(session.observations.rests, f"{kind}_covariance")[rests]
