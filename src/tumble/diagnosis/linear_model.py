@@ -218,7 +218,8 @@ def with_omitted_groups(estimate: Estimate, problem: Problem, shift: Array, size
     instrument, first, usual = problem.instrument, problem.instrument.linear_count, problem.usual_u[1:]
     full = _with_parameters(estimate, instrument)
     error = np.vstack([-shift * sizes, np.diag(sizes)])  # by one standard deviation of each parameter of the groups
-    covariance, degrees, budget, groups = full.covariance + error @ error.T, full.degrees, full.budget, []
+    covariance, degrees, budget = full.covariance + error @ error.T, full.degrees, full.budget
+    groups = list[GroupFinding]()
     if degrees is not None:
         degrees[:first] *= np.diag(covariance)[:first] ** 2 / np.diag(estimate.covariance) ** 2
     for group in instrument.further:
