@@ -28,7 +28,6 @@ from tumble.diagnosis.projection import (
     FALSE_ALARMS,
     Projection,
     SumOfSquares,
-    diagnostic_solution,
     holm_limit,
     north_rate_columns,
     projections,
@@ -41,6 +40,7 @@ from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
 from tumble.inference.linearisation import linearise
 from tumble.inference.noise import NO_COMPONENTS
+from tumble.inference.normal_equations import solve
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
@@ -374,7 +374,7 @@ def test_a_projection_is_that_of_all_unknowns_at_once() -> None:
     problem, rows = linearised.problem, linearised
     rng, (N, r), (K, t) = np.random.default_rng(2), rows.rest.shape[:2], rows.turn.shape[:2]
     rest, turn = rng.normal(0.0, 1e-4, (N, r, 2)), rng.normal(0.0, 1e-4, (K, t, 2))
-    equations, p = diagnostic_solution(linearised, NO_COMPONENTS).equations, len(rows.prior) - 1
+    equations, p = solve(linearised, NO_COMPONENTS).equations, len(rows.prior) - 1
     W_rest, W_turn = equations.rest_whitening, equations.turn_whitening
     A = np.zeros((N * r + K * t + p, 3 * N + p + 3))
     for i in range(N):

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 from tumble.cli import main
 from tumble.diagnosis.causes import LinearisedSession
 from tumble.diagnosis.misfit import misfit
-from tumble.diagnosis.projection import diagnostic_solution, projections
+from tumble.diagnosis.projection import projections
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
 from tumble.inference.integrated_turns import IntegratedTurns
@@ -308,7 +308,7 @@ def test_each_session_with_what_the_others_say_knows_what_all_know_and_a_warm_up
     linear = estimate.instrument.linear_count
     nothing = [np.zeros((*rows.shape[:2], 1)) for rows in (linearised.rest, linearised.turn)]
     known = np.array([each.u[:linear] for each in projections(linearised, linearised.components, *nothing)])
-    whole = np.sqrt(diagnostic_solution(linearised, linearised.components).covariance.diagonal())[1 : 1 + linear]
+    whole = np.sqrt(solve(linearised, linearised.components).covariance.diagonal())[1 : 1 + linear]
     np.testing.assert_allclose(known, np.broadcast_to(whole, (2, linear)), rtol=0.05)
     found = misfit(estimate)
     assert any("accel" in "".join(each.concerns) for each in found if not each.refuses), found

@@ -67,18 +67,18 @@ def vertical_faults(observations: Observations, session: Session, rate: float, g
         "the gyros do not carry the vertical from rest to rest: they miss it by "
         f"{miss.max() / DEGREE:.0f}° at worst and by {np.median(miss) / DEGREE:.0f}° at the median of {len(miss)} turns"
     )
-    tilting = list(_tilting_turns(observations, stated.bias, vertical))
-    likelihoods, duration = turn_likelihoods(tilting), float(observations.rests.stop.max())
-    others = [*_hypotheses(likelihoods, channels, session.log, rate, duration)]
-    if likelihoods and block.triad:
-        others += _columns_of_other_scales(tilting, block.axes, channels)
-    others.sort(key=lambda other: other[0])
-    scale, stated_cost = 1.0, math.inf
+    angles = _angles_of_samples(observations, onto_body(block.axes) @ stated.bias)
+    ends = zip(angles, vertical[turns.first], vertical[turns.last], strict=True)
+    tilting = [turn for turn in ends if ends_tilted(*turn[1:])]
+    likelihoods, scale, stated_cost = turn_likelihoods(tilting), 1.0, math.inf
     if likelihoods:
         scale = likelihoods[0].found(0.0, SMALL_SCALE_ERROR)
         stated_cost = likelihoods[0].at(math.log(scale))
-    if others and others[0][0] < stated_cost:
-        return [f"{missed}{others[0][1]}"]
+        others = [*_interpretations(likelihoods, channels, session.log, rate, float(observations.rests.stop.max()))]
+        others += _columns_of_other_scales(tilting, block.axes, channels) if block.triad else ()
+        cost, text = min(others, key=lambda other: other[0])
+        if cost < stated_cost:
+            return [f"{missed}{text}"]
     if channels.raw and np.all(channels.scale == 1.0):
         return [
             Advised(
@@ -88,11 +88,9 @@ def vertical_faults(observations: Observations, session: Session, rate: float, g
             )
         ]
     miss = _missed_angles(observations, SensorModel(matrix=scale * stated.matrix, bias=stated.bias), vertical)
-    with np.errstate(invalid="ignore", over="ignore"):  # of implausible rates
-        moments = observations.turns_about(stated).M
-        rate = float(np.median(np.nan_to_num(np.sqrt((moments**2).sum(axis=(1, 2, 3)))) / turns.duration))
-    turned = turns.duration * (rate if rate < FASTEST_TURN else 0.0)  # approximate, with whole revolutions
-    per_half_turn = miss / np.maximum(1.0, turned / np.pi)
+    turned = np.array([float(np.linalg.norm(of_samples, axis=1).sum()) for of_samples in angles])
+    plausible = np.median(turned / turns.duration) < FASTEST_TURN
+    per_half_turn = miss / np.maximum(1.0, turned / np.pi if plausible else 0.0)
     if np.median(per_half_turn) < MEDIAN_MISS:
         return [
             Advised(
@@ -111,48 +109,37 @@ def vertical_faults(observations: Observations, session: Session, rate: float, g
     ]
 
 
-def _tilting_turns(observations: Observations, bias: Array, vertical: Array) -> Iterator[tuple[Array, Array, Array]]:
-    """Yield, for turns that change the vertical, the angles (m, 3), rad, of the samples by the stated gyros, and the
-    verticals before and after the turn."""
-    turns, samples, block = observations.turns, observations.turn_samples, observations.gyro_block
+def _angles_of_samples(observations: Observations, bias: Array) -> list[Array]:
+    """Return for each turn the angles (m, 3), rad, of its samples by gyros of this bias (3,) in the body."""
+    turns, samples = observations.turns, observations.turn_samples
     assert turns is not None
     assert samples is not None
-    assert block is not None
-    bias_in_body = onto_body(block.axes) @ bias
-    angles: dict[int, list[Array]] = {}
-    for pieces in samples.pieces():
-        for turn, start, stop in zip(pieces.turn, pieces.start, pieces.stop, strict=True):
-            part = (pieces.rates[start:stop] - bias_in_body) * pieces.intervals[start:stop, None]
-            angles.setdefault(int(turn), []).append(part)
-    for turn, parts in angles.items():
-        before, behind = vertical[turns.first[turn]], vertical[turns.last[turn]]
-        if ends_tilted(before, behind):
-            yield np.concatenate(parts), before, behind
+    angles = [[np.zeros((0, 3))] for _ in range(len(turns))]
+    for turn, rates, _, intervals in samples.by_piece():
+        angles[turn].append((rates - bias) * intervals[:, None])
+    return [np.concatenate(pieces) for pieces in angles]
 
 
-def _hypotheses(
+def _interpretations(
     likelihoods: tuple[TurnLikelihood, ...], channels: Channels, log: LogSpec, rate: float, duration: float
 ) -> Iterator[tuple[float, str]]:
     """Yield other interpretations of the gyros as costs and texts; `rate` in Hz and `duration` in s are of the log."""
-    if not likelihoods:
-        return
     nominal, wrong_unit = likelihoods[0].of_nominal(WIDTHS.scale), -2.0 * math.log(WIDTHS.named_wrongly)
+    ratios = dict[str, float]()  # by which a unit is larger than the stated one
     for name, unit in GYRO_UNITS.items():
-        ratio = unit.per_second(rate) / channels.unit.per_second(rate)
-        if channels.raw:
-            if name in GyroTable.SCALE_PER and unit.kind == channels.unit.kind and unit != channels.unit:
-                text = f'; the scale of [log.gyro] is not per that unit; scale_per = "{name}" would fit'
-                yield wrong_unit + nominal.at(-math.log(ratio)), text
-        elif unit.kind != "raw" and unit != channels.unit:
+        listed = name in GyroTable.SCALE_PER and unit.kind == channels.unit.kind if channels.raw else unit.kind != "raw"
+        if listed and unit != channels.unit:
             text = f'; the unit of [log.gyro] is not "{channels.unit_name}", "{name}" would fit'
-            yield wrong_unit + nominal.at(-math.log(ratio)), text
+            if channels.raw:
+                text = f'; the scale of [log.gyro] is not per that unit; scale_per = "{name}" would fit'
+            ratios[text] = unit.per_second(rate) / channels.unit.per_second(rate)
     for name, factor in {} if log.time is None or log.clock else TIME_UNITS.items():
         ratio = factor / log.time_factor
         if ratio != 1.0 and LOG_RATES[0] < rate / ratio < LOG_RATES[1] and duration * ratio > SHORTEST_LOG:
-            yield wrong_unit + nominal.at(-math.log(ratio)), f'; log.time_unit = "{name}" would fit'
+            ratios[f'; log.time_unit = "{name}" would fit'] = ratio
+    yield from ((wrong_unit + nominal.at(-math.log(ratio)), text) for text, ratio in ratios.items())
     for exchanged in likelihoods[1:]:
-        cost = exchanged.of_nominal(WIDTHS.scale).at(0.0)
-        yield cost, f"; {columns_text(exchanged.exchange)}"
+        yield exchanged.of_nominal(WIDTHS.scale).at(0.0), f"; {columns_text(exchanged.exchange)}"
     ratio = likelihoods[0].found()
     text = f"; the gyros read about {ratio:.3g} times what they should"
     suspects = ["the nominal scale of [log.gyro]"] if channels.raw else []
@@ -173,8 +160,7 @@ def _columns_of_other_scales(
         tried |= {f" if they are in {name}": counts * GYRO_UNITS[name].factor for name in ("rad/s", "deg/s")}
     per = "" if channels.raw else f'unit = "count", scale_per = "{channels.unit_name}" and '
     for condition, factor in tried.items():
-        scaled = (axes.T * factor) @ np.linalg.inv(axes).T
-        likelihoods = column_likelihoods([(angles @ scaled, up, after) for angles, up, after in turns], axes)
+        likelihoods = column_likelihoods(turns, axes, factor)
         free = cost_of_free_scale(WIDTHS.scale) - 2.0 * math.log(WIDTHS.named_wrongly / len(likelihoods) / len(tried))
         for column, (name, likelihood) in enumerate(zip(channels.columns, likelihoods, strict=True)):
             ratio, scale = likelihood.found(), channels.scale / factor

@@ -24,17 +24,16 @@ LEAST_LENGTH = 1e-9  # m/s² or rad: shorter vectors have no direction
 LEAP = 0.3 * G_STANDARD  # within 0.1 s, at the median: larger than the vibration of a device at rest
 
 
-def mixed_rows(reduction: Reduction, log: LogSpec) -> list[str]:
-    """Return a fault if accelerometers leap all the time, as when rows of several sensors are mixed."""
+def mixed_rows(reduction: Reduction, log: LogSpec) -> Iterator[str]:
+    """Yield a fault if accelerometers leap all the time, as when rows of several sensors are mixed."""
     leaps = np.concatenate([each.accel.ends - each.accel.means for each in reduction.files])
     leap = float(np.median(np.linalg.norm(leaps, axis=1))) * np.sqrt(3 / leaps.shape[1])
-    if leap < LEAP:
-        return []
-    return [
-        f"the accelerometers leap by {leap:.2g} m/s^2 from sample to sample, most of the time: columns "
-        f"{', '.join(map(repr, log.accel.columns))} have rows of several sensors, or the device was shaken throughout; "
-        "give each sensor its own columns, and let the device rest"
-    ]
+    if leap >= LEAP:
+        yield (
+            f"the accelerometers leap by {leap:.2g} m/s^2 from sample to sample, most of the time: columns "
+            f"{', '.join(map(repr, log.accel.columns))} have rows of several sensors, or the device was shaken "
+            "throughout; give each sensor its own columns, and let the device rest"
+        )
 
 
 RADIAL_NOISE, CONSTANT_MAGNITUDE = 0.25, 1e-3
@@ -44,12 +43,10 @@ VIBRATION_LENGTHENS = 1e-5
 """In g: a vibration v across gravity lengthens raw readings by v²/2g, which is visible from this size on."""
 
 
-def normalised(reduction: Reduction, rests: Sequence[Stretch], to_body: Array) -> list[str]:
-    """Return a fault if the magnitude of the accelerometers is constant also in motion, as a driver has divided by it.
+def normalised(reduction: Reduction, rests: Sequence[Stretch], to_body: Array) -> Iterator[str]:
+    """Yield a fault if the magnitude of the accelerometers is constant also in motion, as a driver has divided by it.
 
     `to_body` (3, n) converts readings to vectors."""
-    if not rests:
-        return []
     length = np.linalg.norm(np.concatenate([each.accel.ends for each in reduction.files]) @ to_body.T, axis=1)
     magnitude, files = float(np.median(length)), reduction.by_file
     spread = float(np.sqrt(np.mean((length - magnitude) ** 2)))
@@ -57,25 +54,23 @@ def normalised(reduction: Reduction, rests: Sequence[Stretch], to_body: Array) -
     for rest in rests:
         samples = files[rest.file].accel.ends[rest.first : rest.last] @ to_body.T
         up = samples.mean(axis=0) / max(float(np.linalg.norm(samples.mean(axis=0))), LEAST_LENGTH)
-        off = samples - samples.mean(axis=0)
-        square = ((off - np.outer(off @ up, up)) ** 2).sum(axis=1)
+        square = (np.cross(samples - samples.mean(axis=0), up) ** 2).sum(axis=1)
         squares.append(0.5 * float(square.mean()))
         lengthened.append(0.5 * float(square.std()) / max(magnitude, LEAST_LENGTH))
+    if not squares:
+        return
     noise, by_vibration = float(np.sqrt(np.median(squares))), float(np.median(lengthened))
     limit = CONSTANT_MAGNITUDE * magnitude
     if by_vibration > VIBRATION_LENGTHENS * magnitude:
         steps = [channel.step for channel in reduction.accel_channels if np.isfinite(channel.step)]
         limit = min(limit, max([by_vibration, *steps]))
-    if spread >= min(RADIAL_NOISE * noise, limit):
-        return []
-    return [
-        Advised(
+    if spread < min(RADIAL_NOISE * noise, limit):
+        yield Advised(
             f"the magnitude of the accelerometers is {magnitude:.6g} m/s^2 at rest and on the way, constant to "
             f"{spread:.1g} m/s^2, where their noise across it is {noise:.1g} m/s^2: a driver has normalised them, and "
             "their biases and scale factors are lost",
             "record the raw specific force",
         )
-    ]
 
 
 FEWEST_ZEROS, ZEROS_RATIO = 5, 3.0
@@ -87,41 +82,38 @@ are pulses if more than this share is in one of PULSE_WIDTHS; hardly two values 
 FINE_STEPS = 3.0  # steps of a channel; if other values are mostly closer to zero, coarse resolution makes the zeros
 
 
-def dead_zones(reduction: Reduction, rests: Sequence[Stretch], channels: Channels) -> list[str]:
-    """Return gyros whose driver writes 0 for small rates.
+def dead_zones(reduction: Reduction, rests: Sequence[Stretch], channels: Channels) -> Iterator[str]:
+    """Yield gyros whose driver writes 0 for small rates.
 
     At rest they read 0 more often than their resolution explains, and no other small values."""
     files = reduction.by_file
-    ends = [files[rest.file].gyro.ends[rest.first : rest.last] for rest in rests]
-    at_rest = np.concatenate(ends) if ends else np.empty((0, len(channels.columns)))
-    samples = np.concatenate([each.gyro.ends for each in reduction.files])
+    samples = np.abs(np.concatenate([each.gyro.ends for each in reduction.files]))
+    at_rest = [np.abs(files[rest.file].gyro.ends[rest.first : rest.last]) for rest in rests]
+    sizes_at_rest = np.concatenate([samples[:0], *at_rest])
 
     def most_equal(values: Array) -> int:
         return int(np.unique(values, return_counts=True)[1].max())
 
-    faults = list[str]()
-    for i, (column, state) in enumerate(zip(channels.columns, reduction.gyro_channels, strict=True)):
-        sizes, step = np.abs(at_rest[:, i]), state.step if np.isfinite(state.step) else 0.0
+    for column, state, sizes, anywhere in zip(
+        channels.columns, reduction.gyro_channels, sizes_at_rest.T, samples.T, strict=True
+    ):
         zeros, others = int((sizes == 0.0).sum()), sizes[sizes > 0.0]
-        anywhere = np.abs(samples[:, i])
         if zeros <= FEWEST_ZEROS or not anywhere.any():
             continue
-        least = float(anywhere[anywhere > 0.0].min())
-        typical, busiest = least, 0
+        least = typical = float(anywhere[anywhere > 0.0].min())
+        busiest = 0
         if len(others):
             typical = float(np.median(others))
             pulses = most_equal(np.round(PULSE_WIDTHS * others / typical)) > PULSE_SHARE * len(others)
             busiest = most_equal(np.floor(PULSE_PLACES * others / typical) if pulses else others)
-        if typical >= FINE_STEPS * step and zeros > FEWEST_ZEROS + ZEROS_RATIO * busiest:
-            faults.append(
-                Advised(
-                    f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.3g} % of the samples at rest, "
-                    f"and never less than {least / DEGREE:.2g} °/s otherwise: a dead zone of the driver, in which "
-                    "biases and slow rates are lost",
-                    "switch it off",
-                )
+        resolved = not np.isfinite(state.step) or typical >= FINE_STEPS * state.step
+        if resolved and zeros > FEWEST_ZEROS + ZEROS_RATIO * busiest:
+            yield Advised(
+                f"column {column!r} reads exactly 0 in {100.0 * zeros / len(sizes):.3g} % of the samples at rest, "
+                f"and never less than {least / DEGREE:.2g} °/s otherwise: a dead zone of the driver, in which "
+                "biases and slow rates are lost",
+                "switch it off",
             )
-    return faults
 
 
 DECAY_CORRELATION = 0.5  # squared correlation of the readings at the start of a rest with the turn before
@@ -130,8 +122,8 @@ REMAINING_ANGLE, TILTED = 0.3, 0.5
 FEWEST_TURNS = 5
 
 
-def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> list[str]:
-    """Return a fault if the gyros are behind a high-pass filter.
+def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> Iterator[str]:
+    """Yield a fault if the gyros are behind a high-pass filter.
 
     With a time constant τ, they read −θ/τ after a turn by θ, which decays: readings at the start of a rest, less those
     at its end, are opposite to the turn before. Little of a turn that lasts longer than τ remains in their integral,
@@ -151,20 +143,15 @@ def high_passed(reduction: Reduction, rests: Sequence[Stretch]) -> list[str]:
             path = float(np.linalg.norm(angles, axis=1).sum())
             remaining.append(float(np.linalg.norm(turns[-1])) / max(path, LEAST_LENGTH))
     r, θ = np.array(starts), np.array(turns)
-    along = float((r * θ).sum())
-    decays = len(r) >= FEWEST_TURNS and along < 0.0
-    if decays and along**2 > DECAY_CORRELATION * float((r**2).sum() * (θ**2).sum()):
+    along, evidence = float((r * θ).sum()), ""
+    limit = DECAY_CORRELATION * float((r**2).sum() * (θ**2).sum())
+    if len(r) >= FEWEST_TURNS and along < 0.0 and along**2 > limit:
         evidence = "at rest the gyros read a rate against the turn before, which fades"
     elif len(remaining) >= FEWEST_TURNS and np.median(remaining) < REMAINING_ANGLE:
         evidence = "in the integral of the gyros next to nothing is left of a turn once it is over"
-    else:
-        return []
-    return [
-        Advised(
-            f"{evidence}: a high-pass filter on the chip or in the driver, with which slow rates and biases are lost",
-            "switch it off",
-        )
-    ]
+    if evidence:
+        lost = "a high-pass filter on the chip or in the driver, with which slow rates and biases are lost"
+        yield Advised(f"{evidence}: {lost}", "switch it off")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -243,15 +230,15 @@ def _is_fault(state: ChannelState, run: int, explained: int) -> bool:
 # ---- accelerometers that do not read gravity
 
 
-def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
-    """Return why the accelerometers do not read gravity at the median: they are exchanged with the gyros, or in another
+def accelerometer_faults(reduction: Reduction, session: Session) -> Iterator[str]:
+    """Yield why the accelerometers do not read gravity at the median: they are exchanged with the gyros, or in another
     unit, or their scale or offset is wrong."""
     channels, gyro, g, rate = session.log.accel, session.log.gyro, session.site.gravity, reduction.rate
     accel, gyros = block_means(reduction)
     force = accel @ onto_body(channels.axes).T
     magnitude = float(np.median(np.linalg.norm(force, axis=1)))
     if is_near_one(magnitude / g):
-        return []
+        return
     rates, increments = (
         {} if channels.raw else {name: u.per_second(rate) for name, u in ACCEL_UNITS.items() if u.kind == kind}
         for kind in ("rate", "increment")
@@ -268,23 +255,23 @@ def accelerometer_faults(reduction: Reduction, session: Session) -> list[str]:
         if fitting_units(magnitude / unit_of_g, rates):  # a gyro bias may be near g; gravity has many directions
             in_a_unit = in_a_unit and gyros_like_gravity and not like_gravity(force)
         if (is_near_one(gyro_magnitude / g) and gyros_like_gravity) or in_a_unit:
-            return [
-                Advised(
-                    f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and "
-                    "the gyro columns have the magnitude of gravity",
-                    "exchange [log.accel] columns and [log.gyro] columns",
-                )
-            ]
+            yield Advised(
+                f"accelerometer and gyro columns are exchanged: the accelerometers read {magnitude:.3g} m/s^2 and "
+                "the gyro columns have the magnitude of gravity",
+                "exchange [log.accel] columns and [log.gyro] columns",
+            )
+            return
     read = f"the accelerometers read {magnitude:.4g} m/s^2 at the median, expected {g:.4g} m/s^2"
-    if channels.raw:
-        return [f"{read}: {_scale_or_offset(force, magnitude, channels, g)}"]
     units = fitting_units(magnitude / unit_of_g, rates | (increments if like_gravity(force) else {}))
-    if units:
+    if channels.raw:
+        yield f"{read}: {_scale_or_offset(force, magnitude, channels, g)}"
+    elif units:
         fit = " or ".join(f'"{name}"' for name in units)
-        return [f'{read}: the unit of [log.accel] is not "{channels.unit_name}"; {fit} would fit']
-    if magnitude < UNIT_TOLERANCE * g:
-        return [Advised(f"{read}: gravity has been removed from the log", "record the raw specific force")]
-    return [f'{read}: the unit "{channels.unit_name}" of [log.accel] is not right, and no other known unit fits']
+        yield f'{read}: the unit of [log.accel] is not "{channels.unit_name}"; {fit} would fit'
+    elif magnitude < UNIT_TOLERANCE * g:
+        yield Advised(f"{read}: gravity has been removed from the log", "record the raw specific force")
+    else:
+        yield f'{read}: the unit "{channels.unit_name}" of [log.accel] is not right, and no other known unit fits'
 
 
 def _scale_or_offset(force: Array, magnitude: float, channels: Channels, g: float) -> str:

@@ -5,19 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+from tumble.advice import advised
 from tumble.inference.estimate import Outcome
 from tumble.sensors.parameters import sensor_kind
-from tumble.units import DEGREE, G_STANDARD
+from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD
 
-BIAS_UNITS: dict[str, tuple[float, str]] = {"accel": (1e-6 * G_STANDARD, "µg"), "gyro": (DEGREE / 3600.0, "°/h")}
-"""Unit (SI, name) of biases in sentences, by kind of sensor."""
 SENSORS = {"accel": "accelerometers", "gyro": "gyros"}
+BIAS_UNITS = {"accel": "µg", "gyro": "°/h"}
+TURN_GROUPS = ("gyro.scale", "gyro.axis")  # groups of parameters that are determined by turns
+IN_U = "; u contains it"
+UNITS = {
+    "µg": 1e-6 * G_STANDARD, "µg/g": 1e-6, "µg/g²": 1e-6 / G_STANDARD,
+    "°/h": DEGREE_PER_HOUR, "°/h/g": DEGREE_PER_HOUR / G_STANDARD, "°/h/g²": DEGREE_PER_HOUR / G_STANDARD**2,
+    "°": DEGREE, "%": 1e-2, "ppm": 1e-6, "ppm at 10 °/s": 1e-6 / (10.0 * DEGREE) ** 2, "mm/s": 1e-3,
+}  # fmt: skip
+"""SI values of the units in sentences."""
 
 
-def with_unit(value: float, unit: tuple[float, str]) -> str:
-    """Return a quantity (SI) with two digits in a unit (SI, name)."""
-    size, name = unit
-    return f"{value / size:.2g} {name}".replace(" °", "°")
+def with_unit(value: float, unit: str) -> str:
+    """Return a quantity (SI) with two digits in a unit."""
+    return f"{value / UNITS[unit]:.2g} {unit}".replace(" °", "°")
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -67,14 +74,14 @@ class Finding:
         return tuple(kinds) if len(kinds) == 1 else ()
 
 
-def remark(sentence: str, *concerns: str) -> Finding:
+def remark(found: str, remedy: str = "", *, concerns: tuple[str, ...] = ()) -> Finding:
     """Return a finding that does not refuse anything."""
-    return Finding(sentence=sentence, concerns=concerns)
+    return Finding(sentence=advised(found, remedy), concerns=concerns)
 
 
-def refusal(sentence: str, *concerns: str) -> Finding:
+def refusal(found: str, remedy: str = "", *, concerns: tuple[str, ...] = ()) -> Finding:
     """Return a finding that refuses the parameters it concerns."""
-    return Finding(sentence=sentence, concerns=concerns, refuses=True)
+    return Finding(sentence=advised(found, remedy), concerns=concerns, refuses=True)
 
 
 def outcome_of(findings: Iterable[Finding], unobservable: tuple[str, ...] = ()) -> Outcome:

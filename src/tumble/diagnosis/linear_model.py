@@ -41,7 +41,7 @@ from tumble.inference.start import initial_linearisation
 from tumble.inference.uncertainty_budget import contributions
 from tumble.reduction.observations import Observations
 from tumble.rotation import unit_vector
-from tumble.sensors.instrument import functions
+from tumble.sensors.instrument import Instrument, functions
 from tumble.sensors.model import left_null_space, tilt_null_space
 from tumble.sensors.parameters import FORCE, ParameterGroup, group_of
 from tumble.units import Array
@@ -215,67 +215,61 @@ def with_omitted_groups(estimate: Estimate, problem: Problem, shift: Array, size
     sizes : (k,) array
         Standard deviations of the parameters of the groups, SI.
     """
-    instrument, first, shifted = problem.instrument, problem.instrument.linear_count, shift * sizes
-    k, crossed, usual = len(sizes), -shifted * sizes, problem.usual_u[1 + first :]
-    linear = estimate.covariance + shifted @ shifted.T
-    covariance = np.block([[linear, crossed], [crossed.T, np.diag(sizes**2)]])
-    values = np.append(estimate.values, np.zeros(k))
-    degrees = estimate.degrees
+    instrument, first, usual = problem.instrument, problem.instrument.linear_count, problem.usual_u[1:]
+    full = _with_parameters(estimate, instrument)
+    error = np.vstack([-shift * sizes, np.diag(sizes)])  # by one standard deviation of each parameter of the groups
+    covariance, degrees, budget = full.covariance + error @ error.T, full.degrees, full.budget
+    groups = list[GroupFinding]()
     if degrees is not None:
-        degrees = np.append(degrees * (np.diag(linear) / np.diag(estimate.covariance)) ** 2, np.full(k, np.inf))
-    members = {name: slice(place.start - first, place.stop - first) for name, place in instrument.members.items()}
-    groups = tuple(
-        GroupFinding(
-            name=group.name,
-            kept=True,
-            prior=float(usual[members[group.name].start]),
-            prior_widened=float((sizes / usual)[members[group.name].start]),
-            learned=(0.0,) * (members[group.name].stop - members[group.name].start),
+        degrees[:first] *= np.diag(covariance)[:first] ** 2 / np.diag(estimate.covariance) ** 2
+    for group in instrument.further:
+        place = instrument.members[group.name]
+        of_group, size = error[:, place.start - first : place.stop - first], float(sizes[place.start - first])
+        groups.append(
+            GroupFinding(
+                name=group.name,
+                kept=True,
+                prior=float(usual[place.start]),
+                prior_widened=size / float(usual[place.start]),
+                learned=(0.0,) * of_group.shape[1],
+            )
         )
-        for group in instrument.further
-    )
-    budget = estimate.budget
-    if budget is not None:
-        budget = budget.carried(np.vstack([np.eye(first), np.zeros((k, first))]))
-        for name, place in members.items():
-            by_group = np.vstack([-shifted, np.diag(sizes)])[:, place]
-            prior = source(f"prior.{name}", float(sizes[place.start]), instrument.units[first + place.start])
-            budget = budget.with_source(prior, by_group @ by_group.T)
+        if budget is not None:
+            prior = source(f"prior.{group.name}", size, instrument.units[place.start])
+            budget = budget.with_source(prior, of_group @ of_group.T)
     rate = usual_rate(None if estimate.linearised is None else estimate.linearised.about)
+    gravity = problem.observations.site.gravity
     return replace(
-        estimate,
+        full,
         budget=budget,
-        names=instrument.names,
-        units=instrument.units,
-        values=values,
         covariance=covariance,
-        observable=np.append(estimate.observable, np.ones(k, dtype=bool)),
-        null=np.pad(estimate.null, ((0, 0), (0, k))),
-        increments=tuple(np.append(step, np.zeros(k)) for step in estimate.increments),
-        instrument=instrument,
-        groups=groups,
+        groups=tuple(groups),
         degrees=degrees,
-        prediction=prediction(instrument, values, covariance, gravity=problem.observations.site.gravity, rate=rate),
+        prediction=prediction(instrument, full.values, covariance, gravity=gravity, rate=rate),
     )
 
 
 def linear_part(estimate: Estimate) -> Estimate:
     """Return an estimate without its omitted groups, whose part in the covariance of the others stays."""
     instrument = estimate.instrument
-    if instrument is None:
-        return estimate
-    m = instrument.linear_count
+    return estimate if instrument is None else _with_parameters(estimate, replace(instrument, further=()))
+
+
+def _with_parameters(estimate: Estimate, instrument: Instrument) -> Estimate:
+    """Return an estimate with the parameters of an instrument, of which it has the first, or more; others are zero."""
+    n, m = len(instrument.names), len(estimate.names)
+    zeros, degrees = np.zeros(max(n - m, 0)), estimate.degrees
     return replace(
         estimate,
-        names=estimate.names[:m],
-        units=estimate.units[:m],
-        values=estimate.values[:m],
-        covariance=estimate.covariance[:m, :m],
-        observable=estimate.observable[:m],
-        null=estimate.null[:, :m],
-        increments=tuple(step[:m] for step in estimate.increments),
-        instrument=replace(instrument, further=()),
+        instrument=instrument,
+        names=instrument.names,
+        units=instrument.units,
         groups=(),
-        degrees=None if estimate.degrees is None else estimate.degrees[:m],
-        budget=None if estimate.budget is None else estimate.budget.carried(np.eye(m, len(estimate.names))),
+        values=np.append(estimate.values[:n], zeros),
+        covariance=np.pad(estimate.covariance[:n, :n], (0, len(zeros))),
+        observable=np.append(estimate.observable[:n], zeros == 0.0),
+        null=np.pad(estimate.null[:, :n], ((0, 0), (0, len(zeros)))),
+        increments=tuple(np.append(step[:n], zeros) for step in estimate.increments),
+        degrees=None if degrees is None else np.append(degrees[:n], zeros + np.inf),
+        budget=None if estimate.budget is None else estimate.budget.carried(np.eye(n, m)),
     )

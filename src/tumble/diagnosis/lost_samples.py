@@ -14,29 +14,21 @@ show the loss; an estimate of all groups of parameters uses them, one of the lin
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 
 from tumble.advice import Advised
-from tumble.diagnosis.causes import SHORTEST_TURN, Candidate, LinearisedSession
-from tumble.diagnosis.findings import Finding
-from tumble.diagnosis.projection import SumOfSquares, approximate_drops, diagnostic_solution
+from tumble.diagnosis.causes import SHORTEST_TURN, Cause, LinearisedSession
+from tumble.diagnosis.findings import TURN_GROUPS, Finding
+from tumble.diagnosis.projection import SumOfSquares, approximate_drops
 from tumble.inference.integrated_turns import IntegratedTurns
-from tumble.inference.linearisation import Linearisation
-from tumble.inference.noise import SCATTER, VarianceComponents
 from tumble.inference.normal_equations import Solution
 from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
 from tumble.sensors.parameters import RATE
-from tumble.units import DEGREE, Array
+from tumble.units import Array
 
-TURN_GROUPS = ("gyro.scale", "gyro.axis")  # groups of parameters that are determined by turns
 FEWEST_HELD = 3  # samples
-LEAST_MEAN_SQUARE = 1e-12  # of residuals in units of their noise; less counts as this
-SCATTER_ROUNDS = 4  # iterations of the scatter of turns
 JITTER_SIGMAS = 3.0  # standard deviations of a covariance between intervals that show jitter
 SMALLEST_JITTER = 3e-3  # in intervals: jitter of time stamps that has no visible effect on turns
 
@@ -70,47 +62,34 @@ def stamps_remedy(observations: Observations) -> str:
     return jitter_hint(observations).removeprefix("; ") or "record with time stamps"
 
 
-def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list[Candidate]:
+def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list[Cause]:
     """Return a loss of samples in the turn of each session where it is most likely; none if time stamps would show it.
 
     `with_scatter` is the solution with the variance components of the estimate."""
-    about, in_velocities = session.linearised.about, session.problem.instrument.in_velocities
-    if about is None or not (any(session.has_turns) and session.observations.unstamped):
+    rows, in_velocities = session.linearised, session.problem.instrument.in_velocities
+    if rows.about is None or not (any(session.has_turns) and session.observations.unstamped):
         return []
-    axis = np.where(about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turn_axes(about, slice(None)))
-    rest, turn = session.zero_columns(2 if in_velocities else 1)
+    axis = np.where(rows.about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turn_axes(rows.about))
+    rest, turn = (np.zeros((*each.shape[:2], 2 if in_velocities else 1)) for each in (rows.rest, rows.turn))
     turn[:, :3, 0] = axis
     if in_velocities:
-        turn[:, 3:6, 1] = np.cross(axis, session.linearised.gained)
+        turn[:, 3:6, 1] = np.cross(axis, rows.gained)
     drops = approximate_drops(with_scatter.equations.turn_whitening @ turn, *with_scatter.turn_residuals)
-    chosen, sentences = np.zeros(len(turn)), list[str]()
+    chosen, words = np.zeros(len(turn)), list[dict[str, object]]()
     for part, observed in zip(session.problem.parts, session.observed, strict=True):
-        name = number = ""
+        words.append({"turn": "", "number": ""})
         if drops[part.turns].any() and observed.turns is not None:
             worst = int(np.argmax(drops[part.turns]))
             chosen[part.turns.start + worst] = 1.0
-            name, number = observed.turn_named(worst), str(observed.turns.first[worst] + 1)
-        sentences.append(
-            Advised(
-                f"{name} errs about its own axis by {{size}}: samples are missing or held there",
-                f"leave it out by turn = {number} in [[exclude]], and record with time stamps",
-            )
-        )
-    return [
-        Candidate(
-            name="lost samples",
-            concerns=(),
-            columns=(rest, turn * chosen[:, None, None]),
-            unit=(DEGREE, "°"),
-            sentences=sentences,
-            places=max(part.turns.stop - part.turns.start for part in session.problem.parts),
-        )
-    ]
+            words[-1] = {"turn": observed.turn_named(worst), "number": observed.turns.first[worst] + 1}
+    columns = rest, turn * chosen[:, None, None]
+    tried = max(part.turns.stop - part.turns.start for part in session.problem.parts)
+    return [Cause(name="lost samples", kind=None, columns=columns, places=tried, words=words)]
 
 
-def _turn_axes(about: IntegratedTurns, turns: slice) -> Array:
+def _turn_axes(about: IntegratedTurns) -> Array:
     """Return the axis (K, 3) of each turn, zero where nothing turned."""
-    path = np.einsum("kipp->ki", about.moments.Phi[turns][..., RATE])
+    path = np.einsum("kipp->ki", about.moments.Phi[..., RATE])
     return np.asarray(path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9))
 
 
@@ -119,14 +98,10 @@ def samples_held(observations: Observations) -> Finding | None:
     samples = observations.turn_samples
     if samples is None:
         return None
-    rows = same = 0
-    same_in_column = np.zeros(6, dtype=np.int64)
-    for start, stop in zip(samples.start.tolist(), samples.stop.tolist(), strict=True):
-        rates, forces, _ = samples.samples.read(start, stop)
-        equal = [column[1:] == column[:-1] for column in (*rates.T, *forces.T)]
-        rows, same = rows + len(equal[0]), same + int(np.count_nonzero(np.logical_and.reduce(equal)))
-        same_in_column += [np.count_nonzero(column) for column in equal]
-    fewest = same_in_column.min()
+    turns = zip(samples.start.tolist(), samples.stop.tolist(), strict=True)
+    readings = (np.column_stack(samples.samples.read(start, stop)[:2]) for start, stop in turns)
+    equal = np.concatenate([np.zeros((0, 6), dtype=bool), *(each[1:] == each[:-1] for each in readings)])
+    rows, same, fewest = len(equal), int(equal.all(axis=1).sum()), int(equal.sum(axis=0).min())
     if same < FEWEST_HELD or same < 0.8 * fewest or fewest > 0.5 * rows:
         return None
     return Finding(
@@ -140,41 +115,20 @@ def samples_held(observations: Observations) -> Finding | None:
     )
 
 
-def scatter_of_turns_only(linearised: Linearisation) -> Solution:
-    """Solve with scatter in the rotations and velocities of turns alone, and groups of parameters of usual size.
-
-    The estimate may have taken errors of rotations for scatter of rests or for large groups. Rotations and velocities
-    have a scatter each, as late accelerometers affect velocities only. The scatter of jerky turns is kept, as it
-    depends on the axis too and is determined from their samples."""
-    Z, component = linearised.noise.turn_directions
-    names = ("turn", "velocity") if linearised.problem.instrument.in_velocities else ("turn",)
-    directions = {name: Z[:, :, component == SCATTER.index(name)] for name in names}
-    components = VarianceComponents(aliased=linearised.components.aliased)
-    solution = diagnostic_solution(linearised, components, usual_sizes=True)
-    for step in range(SCATTER_ROUNDS):
-        W, scatter = solution.equations.turn_whitening, dict[str, Any]()
-        for name in names:
-            square = SumOfSquares.along(W @ directions[name], *solution.turn_residuals)
-            variance = getattr(components, name) ** 2 * square.square / max(square.mean, LEAST_MEAN_SQUARE)
-            scatter[name] = float(np.sqrt(square.excess_variance if step == 0 else variance))
-        components = replace(components, **scatter)
-        solution = diagnostic_solution(linearised, components, usual_sizes=True)
-    return solution
-
-
-def lost_in_all_turns(session: LinearisedSession, s: int, turns_only: Solution) -> Finding:
+def lost_in_all_turns(session: LinearisedSession, s: int, with_scatter: Solution) -> Finding:
     """Return the cause that samples are missing or held in the turns of session s, from the scatter of their rotations
     about their own axes, in proportion to the angle, against that across them.
 
     Lost samples also reduce the scale factors of the gyros by the share that is lost, and change their axes. This is
     not scatter, and its size is not known from scatter. Jitter of time stamps has either sign, and no such effect.
-    `turns_only` is the solution of `scatter_of_turns_only`."""
+    `with_scatter` is the solution with the variance components of the estimate, which scatter alike in all directions.
+    """
     about, observed, part = session.linearised.about, session.observed[s], session.problem.parts[s].turns
     assert about is not None
-    axis = _turn_axes(about, part)
+    axis = _turn_axes(about)[part]
     angle = np.sqrt(about.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
-    W = turns_only.equations.turn_whitening[part, :, :3]
-    residual, covariance = (each[part] for each in turns_only.turn_residuals)
+    W = with_scatter.equations.turn_whitening[part, :, :3]
+    residual, covariance = (each[part] for each in with_scatter.turn_residuals)
     along, across = (
         SumOfSquares.along(W @ (angle * directions), residual, covariance)
         for directions in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))

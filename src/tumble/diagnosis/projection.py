@@ -11,9 +11,8 @@ B is what the other unknowns leave of the columns, and e are the residuals. All 
 is fitted by its own columns of R_c. If errors of sizes ĉ are left out, the parameters err by R_θ⁻¹ R_θc ĉ. Each of
 several sessions is judged by itself, with the triangles of the others as prior of the common parameters.
 
-A heading that the gyros hardly determine may be far from where the rows were linearised. The horizontal Earth's rate is
-linear in its cosine and sine, so its part along north is added as an unknown of each chain of rests with such a
-heading.
+A heading that the gyros hardly determine may be far from where the rows were linearised. The northward Earth's rate
+that they then predict is wrong by its own size, which is noise (`with_unknown_headings`).
 
 Degrees of freedom are the rows less the unknowns that these determine, of the parameters γ = m − tr ΛC with the
 information Λ of the priors and the covariance C (MacKay, Neural Comput. 4 (1992) 415): a device may be far better than
@@ -35,14 +34,7 @@ import scipy
 from tumble.inference.elimination import fold
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import VarianceComponents
-from tumble.inference.normal_equations import (
-    Solution,
-    eliminate_rests,
-    inverse_of,
-    session_mean_bias,
-    solve,
-    with_local_prior,
-)
+from tumble.inference.normal_equations import eliminate_rests, inverse_of, session_mean_bias, with_local_prior
 from tumble.units import Array, IntArray
 
 DETERMINED_HEADING = 0.05
@@ -50,6 +42,7 @@ DETERMINED_HEADING = 0.05
 RELATIVE_RANK = 1e-4
 """Combinations of columns that lose all but this part of their length to the other unknowns are not determined."""
 FALSE_ALARMS = 5e-3  # probability that all tests together find something in a session in which nothing is wrong
+NO_COLUMNS = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -73,14 +66,13 @@ class Projection:
     u: Array  # (m,): standard uncertainties of the parameters
     chi_square: float  # of all residuals
     degrees: float
-    has_scatter: bool  # whether variance components were estimated from the same residuals
 
-    def fit(self, columns: slice | IntArray, largest_u: float = np.inf) -> ColumnFit | None:
-        """Fit some of the columns; return None unless their sizes are determined to `largest_u`, SI."""
+    def fit(self, columns: slice | IntArray) -> ColumnFit | None:
+        """Fit some of the columns; return None if no combination of them is determined."""
         R, length = self.triangle[:, columns], self.length[columns]
         eigenvalue, vectors = np.linalg.eigh(R.T @ R)
         determined = eigenvalue > RELATIVE_RANK**2
-        if not determined.any() or 1.0 / np.sqrt(eigenvalue[determined].min()) > largest_u * length.max():
+        if not determined.any():
             return None
         root = vectors[:, determined] / np.sqrt(eigenvalue[determined])
         explained = root.T @ (R.T @ self.residual)
@@ -92,37 +84,32 @@ class Projection:
             shift=self.by_columns[:, columns] @ scaled,
         )
 
-    def p_value(self, drop: float, rank: int, before: tuple[float, int] = (0.0, 0)) -> float:
-        """Return the probability of a decrease of chi-square by chance, after that by columns fitted `before`.
+    def p_value(self, columns: IntArray, beside: IntArray = NO_COLUMNS, handicap: float = 0.0) -> float:
+        """Return the probability that chance explains as much as columns do beyond some of them, those `beside`.
 
-        With variance components, Fisher's distribution is used, as the scale of the residuals comes from themselves.
-        """
-        if not self.has_scatter:
-            return float(scipy.special.chdtrc(rank, drop))
-        remaining = self.degrees - rank - before[1]
-        if remaining < 1.0:
+        The decrease of chi-square counts less a `handicap`. The distribution is Fisher's, as the scale of the residuals
+        comes from themselves."""
+        fit, before = self.fit(columns), self.fit(beside)
+        if fit is None:
             return 1.0
-        chi_square = max(self.chi_square - drop - before[0], 1e-9)
+        drop, rank = fit.drop - handicap, fit.rank
+        if before is not None:
+            drop, rank = drop - before.drop, rank - before.rank
+        remaining = self.degrees - fit.rank
+        if min(drop, rank) <= 0 or remaining < 1.0:
+            return 1.0
+        chi_square = max(self.chi_square - fit.drop, 1e-9)
         overstated = min(1.0, self.chi_square / self.degrees)  # residuals below the stated noise prove nothing
         return float(scipy.special.fdtrc(rank, remaining, overstated * drop / rank / (chi_square / remaining)))
-
-    def p_value_beside(self, fit: ColumnFit, before: ColumnFit | None) -> float:
-        """Return the probability of the decrease by a fit beyond that by some of its columns, fitted `before`."""
-        if before is None:
-            return self.p_value(fit.drop, fit.rank)
-        if fit.rank <= before.rank:
-            return 1.0
-        return self.p_value(fit.drop - before.drop, fit.rank - before.rank, (before.drop, before.rank))
 
 
 def projections(
     linearised: Linearisation, components: VarianceComponents, rest: Array, turn: Array
 ) -> Iterator[Projection]:
     """Yield the projection of every session for columns (N, r, c) of the rests and (K, t, c) of the turns, SI."""
-    rows = _diagnostic_rows(linearised).with_components(components)
-    problem, noise = rows.problem, rows.noise
-    q, c, p, m = len(problem.local_u), rest.shape[2], len(rows.prior) - 1, len(problem.instrument.names)
-    rows = rows.with_columns(rest, turn)
+    problem, noise = linearised.problem, linearised.noise
+    q, c, m = len(problem.local_u), rest.shape[2], len(problem.instrument.names)
+    p, rows = 1 + m, linearised.with_components(components).with_columns(rest, turn)
     equations = eliminate_rests(rows)
     of_sessions = zip(equations.session_factors, rows.local_prior, strict=True)
     triangles = [with_local_prior(problem.local_u, *each)[q:, q:] for each in of_sessions]
@@ -157,50 +144,16 @@ def projections(
         yield Projection(
             triangle=triangle[p : p + c, p : p + c],
             residual=triangle[p : p + c, -1],
-            by_columns=by_columns[1 - first : 1 - first + m],
+            by_columns=by_columns[1 - first :],
             length=length,
-            u=np.sqrt(variance[1 - first : 1 - first + m]),
+            u=np.sqrt(variance[1 - first :]),
             chi_square=float((triangle[p:, -1] ** 2).sum()),
             degrees=max(1.0, float(kept) - 3 * len(part.link) + undetermined + others - determined),
-            has_scatter=components.wanders or bool(np.any(components.variances > 0.0)),
         )
 
 
-def diagnostic_solution(
-    linearised: Linearisation, components: VarianceComponents, *, usual_sizes: bool = False
-) -> Solution:
-    """Solve once from where the rows were linearised.
-
-    Priors of groups are widened to the estimated sizes of the groups, or have their usual widths with `usual_sizes`.
-    """
-    return solve(_diagnostic_rows(linearised, usual_sizes), components)
-
-
-def _diagnostic_rows(linearised: Linearisation, usual_sizes: bool = False) -> Linearisation:
-    """Return the rows with the priors and noise with which residuals and causes are judged.
-
-    The prior of every group is widened to its estimated size, so that no cause gains from a prior that is too narrow.
-    """
-    problem, point = linearised.problem, linearised.point
-    if usual_sizes:
-        usual = replace(problem, prior_u=problem.usual_u, local_u=problem.usual_local_u)
-        return _with_north_rates(linearised.with_priors(usual))
-    prior_u, local_u = problem.prior_u.copy(), problem.local_u.copy()
-    off = np.append(0.0, point.values) - np.append(0.0, problem.prior_mean[1:])
-    for members in problem.instrument.members.values():
-        places = slice(members.start + 1, members.stop + 1)
-        prior_u[places] *= max(1.0, float(np.sqrt(np.mean((off[places] / prior_u[places]) ** 2))))
-    if problem.local is not None:
-        for members in problem.local.members.values():
-            places = slice(members.start - problem.local.linear_count, members.stop - problem.local.linear_count)
-            local_u[places] *= max(1.0, float(np.sqrt(np.mean((point.local[:, places] / local_u[places]) ** 2))))
-    return _with_north_rates(linearised.with_priors(replace(problem, prior_u=prior_u, local_u=local_u)))
-
-
-def _with_north_rates(rows: Linearisation) -> Linearisation:
-    """Add the northward Earth's rate, 0 ± 1 of its size, as an unknown of every chain with a poorly known heading.
-
-    In a chain of one rest it is added to the noise instead."""
+def with_unknown_headings(rows: Linearisation) -> Linearisation:
+    """Add the northward Earth's rate, 0 ± 1 of its size, to the noise where the heading is poorly known."""
     problem, noise = rows.problem, rows.noise
     gyro, n = problem.observations.gyro_block, problem.observations.accel_block.size
     if gyro is None or problem.earth[0] == 0.0:
@@ -208,15 +161,11 @@ def _with_north_rates(rows: Linearisation) -> Linearisation:
     gyro_rows = slice(n, n + gyro.size)
     variance = np.diagonal(noise.rest, axis1=1, axis2=2)[:, gyro_rows]
     information = np.bincount(problem.chain, (rows.headings[:, gyro_rows] ** 2 / variance).sum(axis=1))
-    unknown, single = information < DETERMINED_HEADING**-2, np.bincount(problem.chain) == 1
+    unknown = (information < DETERMINED_HEADING**-2)[problem.chain]
     rest, turn = north_rate_columns(rows)
-    of_single = rest * (unknown & single)[problem.chain][:, None]
-    chains = np.flatnonzero(unknown & ~single)
-    is_in = problem.chain[:, None] == chains
-    wide = rows.with_columns(rest[:, :, None] * is_in[:, None], turn[:, :, None] * is_in[problem.before_turn][:, None])
-    added = np.arange(len(rows.prior) - 1, len(wide.prior) - 1)
-    wide.prior[added, added] = 1.0
-    return replace(wide, noise=replace(noise, rest=noise.rest + of_single[:, :, None] * of_single[:, None]))
+    rest, turn = rest * unknown[:, None], turn * unknown[problem.before_turn][:, None]
+    by_rest, by_turn = (each[:, :, None] * each[:, None] for each in (rest, turn))
+    return replace(rows, noise=replace(noise, rest=noise.rest + by_rest, turn=noise.turn + by_turn))
 
 
 def north_rate_columns(rows: Linearisation) -> tuple[Array, Array]:
@@ -282,11 +231,6 @@ class SumOfSquares:
         if self.degrees <= 0.0:
             return 1.0
         return float(scipy.special.chdtrc(self.degrees, self.degrees * self.square / self.mean))
-
-    @property
-    def excess_variance(self) -> float:
-        """Score estimate of a variance along the directions beside the noise."""
-        return max(0.0, self.square - self.mean) / self.half_variance if self.half_variance > 0.0 else 0.0
 
     def p_value_against(self, other: SumOfSquares) -> float:
         """Return the probability that chance exceeds the ratio to another sum, whatever their common scale."""

@@ -179,22 +179,22 @@ def turn_likelihoods(
 
 
 def column_likelihoods(
-    turns: Sequence[tuple[Array, Array, Array]], axes: Array, widths: Widths = WIDTHS
+    turns: Sequence[tuple[Array, Array, Array]], axes: Array, factor: Array, widths: Widths = WIDTHS
 ) -> list[TurnLikelihood]:
-    """Return for each gyro of a triad, with rows of `axes` (3, 3), the likelihood of the turns over the logarithm of a
-    factor by which its readings alone are too large; `turns` and `widths` are those of `turn_likelihoods`."""
+    """Return for each gyro of a triad, with rows of `axes` (3, 3), the likelihood of the turns over the logarithm of
+    the ratio by which its readings alone, those stated times `factor` (3,), are too large.
+
+    `turns` and `widths` are those of `turn_likelihoods`."""
     steps, before, behind = _steps_of(turns)
-    readings = steps.reshape(len(steps), -1, COARSE, 3).sum(axis=2) @ axes.T
-    log_factor = np.arange(-math.log(LARGEST_FACTOR), math.log(LARGEST_FACTOR), GRID)
-    factor = np.append(np.exp(log_factor), np.inf)[:, None, None]
-    likelihoods = []
+    readings = factor * (steps.reshape(len(steps), -1, COARSE, 3).sum(axis=2) @ axes.T)
+    log_ratio, likelihoods = np.arange(-math.log(LARGEST_FACTOR), math.log(LARGEST_FACTOR), GRID), []
     for column in range(3):
-        scaled = np.tile(readings, (len(factor), 1, 1, 1))
-        scaled[..., column] /= factor
+        scaled = np.tile(readings, (len(log_ratio) + 1, 1, 1, 1))
+        scaled[..., column] /= np.append(np.exp(log_ratio), np.inf)[:, None, None]
         scaled = scaled @ np.linalg.inv(axes).T
         (cosine,) = _cosines(scaled, before[None], behind[None], np.ones(1))
         angle = np.linalg.norm(scaled, axis=3).sum(axis=2)
-        likelihoods.append(TurnLikelihood.of(log_factor, cosine, angle, widths, np.eye(3)))
+        likelihoods.append(TurnLikelihood.of(log_ratio, cosine, angle, widths, np.eye(3)))
     return likelihoods
 
 

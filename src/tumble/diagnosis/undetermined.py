@@ -44,32 +44,32 @@ def undetermined(estimate: Estimate, observations: Observations, missing: tuple[
     if missing:
         sentence = f"not observable in this session: {parameter_list(missing)}"
         if one_vertical := one_attitude(observations):
-            sentence = advised(f"{found_in(one_vertical)}; {sentence}", remedy_of(one_vertical))
+            found, remedy = f"{found_in(one_vertical)}; {sentence}", remedy_of(one_vertical)
         else:
             block, rests = observations.accel_block, len(observations.rests)
             needed = len(linear_names(block.names)) if block.size == len("xyz") else 0
             kinds = {sensor_kind(name) for name in missing}
-            too_few = f"{rests} rests of the {needed} needed" if "accel" in kinds and rests < needed else ""
+            too_few = f"{rests} rests of the {needed} needed; " if "accel" in kinds and rests < needed else ""
             turns = observations.turns_left_out if "gyro" in kinds else ()
-            left_out = "".join(turns[:1]) + (f" (and {len(turns) - 1} more)" if len(turns) > 1 else "")
-            helpful = _most_helpful(estimate, observations, estimate.null)
-            sentence = advised(_joined(too_few, left_out, sentence), helpful)
-        findings.append(refusal(sentence, *_groups_of(missing)))
+            left_out = "".join(f"{turn}; " for turn in turns[:1])
+            if len(turns) > 1:
+                left_out = f"{turns[0]} (and {len(turns) - 1} more); "
+            found, remedy = f"{too_few}{left_out}{sentence}", _most_helpful(estimate, observations, estimate.null)
+        findings.append(refusal(found, remedy, concerns=tuple(dict.fromkeys(map(group_name, missing)))))
     combinations, u, refused = _poorly_determined(estimate, observations, {sensor_kind(name) for name in missing})
-    if len(u):
-        largest, described = list[list[int]](), list[str]()
-        for combination, each_u in zip(combinations, u, strict=True):
-            order = np.argsort(-np.abs(combination)).tolist()
-            parts = [i for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
-            largest.append(parts)
-            sign = np.sign(combination[parts[0]])
-            terms = " ".join(f"{'+' if sign * combination[i] > 0 else '−'} {estimate.names[i]}" for i in parts)
-            described.append(f"{terms.removeprefix('+ ')} (known to {100.0 * each_u:.2g} % of its usual size)")
-        helpful = _most_helpful(estimate, observations, combinations)
-        sentence = advised(f"poorly observable in this session: {'; '.join(described)}", helpful)
+    described, concerned = list[str](), set[str]()
+    for combination, each_u in zip(combinations, u, strict=True):
+        order = np.argsort(-np.abs(combination)).tolist()
+        parts = [i for i in order[:4] if abs(combination[i]) > 0.5 * abs(combination[order[0]])]
+        sign = np.sign(combination[parts[0]])
+        terms = " ".join(f"{'+' if sign * combination[i] > 0 else '−'} {estimate.names[i]}" for i in parts)
+        described.append(f"{terms.removeprefix('+ ')} (known to {100.0 * each_u:.2g} % of its usual size)")
+        concerned |= {group_name(estimate.names[i]) for i in parts}
+    if described:
+        found = f"poorly observable in this session: {'; '.join(described)}"
+        sentence = advised(found, _most_helpful(estimate, observations, combinations))
         # accelerometers first: if they are among them, rests are missing, and they are no better alone
-        concerned = tuple(sorted(_groups_of([estimate.names[i] for parts in largest for i in parts])))
-        findings.append(Finding(sentence=sentence, concerns=concerned, refuses=refused))
+        findings.append(Finding(sentence=sentence, concerns=tuple(sorted(concerned)), refuses=refused))
     return findings
 
 
@@ -81,11 +81,12 @@ def faces_alone(estimate: Estimate, missing: Sequence[str]) -> bool:
 
 def six_faces(estimate: Estimate, observations: Observations, missing: Sequence[str]) -> Finding:
     """Return the remark on a session of accelerometers without oblique rests."""
-    sentence = (
+    return remark(
         "six faces give bias and scale factor of each axis alone: not observable in this session and taken as 0 is "
-        f"{parameter_list(missing)}, whose usual size u includes"
+        f"{parameter_list(missing)}, whose usual size u includes",
+        _most_helpful(estimate, observations, estimate.null),
+        concerns=("accel",),
     )
-    return remark(advised(sentence, _most_helpful(estimate, observations, estimate.null)), "accel")
 
 
 def one_attitude(observations: Observations) -> str:
@@ -99,16 +100,6 @@ def one_attitude(observations: Observations) -> str:
         "put it down in others too, 5 s in each (`tumble programme` lists them); `tumble noise` gives the noise of a "
         "recording at rest",
     )
-
-
-def _joined(*parts: str) -> str:
-    """Return the parts that are not empty, separated by semicolons."""
-    return "; ".join(part for part in parts if part)
-
-
-def _groups_of(parameters: Sequence[str]) -> tuple[str, ...]:
-    """Return the groups of parameters without duplicates."""
-    return tuple(dict.fromkeys(map(group_name, parameters)))
 
 
 def parameter_list(names: Sequence[str]) -> str:
@@ -165,12 +156,10 @@ def uncertain_gravity(site: Site) -> Iterator[Finding]:
     if np.sqrt(3.0) * relative < POORLY_KNOWN * group_of("accel.scale").limit:
         return
     yield remark(
-        Advised(
-            f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: the "
-            f"common scale of the accelerometers is known to {100.0 * relative:.2g} % only, which u includes",
-            "state latitude_deg and height_m in [site] (--latitude, --height), or gravity",
-        ),
-        "accel.scale",
+        f"gravity is {site.gravity:.5f} m/s^2 with a standard uncertainty of {site.gravity_u:.2g} m/s^2: the common "
+        f"scale of the accelerometers is known to {100.0 * relative:.2g} % only, which u includes",
+        "state latitude_deg and height_m in [site] (--latitude, --height), or gravity",
+        concerns=("accel.scale",),
     )
 
 

@@ -9,11 +9,12 @@ import scipy
 
 from tumble.advice import Advised
 from tumble.diagnosis.findings import Finding, outcome_of, refusal, remark
-from tumble.diagnosis.misfit import misfit, unusual_groups
+from tumble.diagnosis.misfit import misfit
 from tumble.diagnosis.projection import FALSE_ALARMS
 from tumble.diagnosis.undetermined import faces_alone, linear_names, six_faces, uncertain_gravity, undetermined
+from tumble.diagnosis.unusual_sizes import unusual_groups
 from tumble.earth import NORMAL_GRAVITY_U, normal_gravity
-from tumble.inference.estimate import FIT_SIGMAS, Estimate, Outcome
+from tumble.inference.estimate import FIT_SIGMAS, Estimate, Omitted, Outcome
 from tumble.inference.integral import is_poorly_sampled
 from tumble.inference.problem import LEVER_COLUMNS, SUPPORT_COLUMNS, SUPPORT_U
 from tumble.recording.session import Site
@@ -68,16 +69,10 @@ def verdict(
         return outcome_of((*_of_motion(estimate, observations, missing), *of_gravity), missing)
     faces = faces_alone(estimate, missing)
     weak = [] if estimate.reasons or faces else undetermined(estimate, observations, missing)
-    findings = [refusal(reason) for reason in estimate.reasons]
+    findings = [*map(refusal, estimate.reasons)]
     if not estimate.converged and (faces or not missing):
-        findings.append(
-            refusal(
-                Advised(
-                    "the estimate did not converge: the data contradict the model",
-                    "look at the rests with `tumble inspect`",
-                )
-            )
-        )
+        contradicted = "the estimate did not converge: the data contradict the model"
+        findings.append(refusal(contradicted, "look at the rests with `tumble inspect`"))
     findings += [*of_gravity, *_excessive_scatter(estimate, observations)]
     if faces:
         findings.append(six_faces(estimate, observations, missing))
@@ -100,44 +95,36 @@ def verdict(
 
 def _doubtful_gravity(site: Site) -> Iterator[Finding]:
     """Refuse gravity that no place on Earth has, and report gravity that few places have."""
-    anomaly = gravity_anomaly(site)
-    if anomaly is not None and abs(anomaly) > IMPOSSIBLE_ANOMALY:
-        yield refusal(
-            Advised(
-                f"{gravity_text(site)}, more than {IMPOSSIBLE_ANOMALY / MILLIGAL:.0f}: every scale factor of the "
-                "accelerometers would be wrong with it",
-                "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true",
-            ),
-            "accel.scale",
-        )
-        return
+    anomaly = gravity_anomaly(site) or 0.0
+    remedy = "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true"
     normal_u = UNKNOWN_HEIGHT_GRAVITY_U if site.height is None else NORMAL_GRAVITY_U
-    sigmas = abs(anomaly or 0.0) / float(np.hypot(site.gravity_u, normal_u))
-    if sigmas > DOUBTFUL_SIGMAS:
-        place = " at sea level" if site.height is None else f" at {site.height:.0f} m"
-        yield remark(
-            Advised(
-                f"{gravity_text(site)}{place}, {sigmas:.1f} times the standard uncertainty of both: if it is wrong, so "
-                f"are the scale factors of the accelerometers, by {1e6 * (anomaly or 0.0) / site.gravity:+.0f} ppm",
-                "correct gravity, latitude_deg or height_m in [site], or write gravity_confirmed = true",
-            ),
-            "accel.scale",
+    sigmas = abs(anomaly) / float(np.hypot(site.gravity_u, normal_u))
+    if abs(anomaly) > IMPOSSIBLE_ANOMALY:
+        found = (
+            f"{gravity_text(site)}, more than {IMPOSSIBLE_ANOMALY / MILLIGAL:.0f}: every scale factor of the "
+            "accelerometers would be wrong with it"
         )
+        yield refusal(found, remedy, concerns=("accel.scale",))
+    elif sigmas > DOUBTFUL_SIGMAS:
+        place = " at sea level" if site.height is None else f" at {site.height:.0f} m"
+        found = (
+            f"{gravity_text(site)}{place}, {sigmas:.1f} times the standard uncertainty of both: if it is wrong, so "
+            f"are the scale factors of the accelerometers, by {1e6 * anomaly / site.gravity:+.0f} ppm"
+        )
+        yield remark(found, remedy, concerns=("accel.scale",))
 
 
 def _impossible_bias(estimate: Estimate) -> Iterator[Finding]:
     """Report a gyro bias far beyond its limit, which a steady rotation of the device would also produce."""
-    biases = np.array([group_name(name) == "gyro.bias" for name in estimate.names]) & estimate.observable
-    if biases.any():
-        names = np.array(estimate.names)[biases]
-        name, value = max(zip(names, estimate.values[biases], strict=True), key=lambda pair: abs(pair[1]))
-        limit = float(limits_of([name])[0])
-        if abs(value) > IMPOSSIBLE_BIAS * limit:
-            yield remark(
-                f"{name} of {value / DEGREE:.4g} °/s is far beyond any usual one, up to {limit / DEGREE:.2g} °/s: is "
-                "the unit right, or did the device turn?",
-                "gyro.bias",
-            )
+    known = zip(estimate.names, estimate.values.tolist(), estimate.observable, strict=True)
+    biases = {name: value for name, value, observable in known if observable and group_name(name) == "gyro.bias"}
+    name = max(biases, key=lambda name: abs(biases[name]), default="")
+    if biases and abs(biases[name]) > IMPOSSIBLE_BIAS * (limit := float(limits_of([name])[0])):
+        yield remark(
+            f"{name} of {biases[name] / DEGREE:.4g} °/s is far beyond any usual one, up to {limit / DEGREE:.2g} °/s: "
+            "is the unit right, or did the device turn?",
+            concerns=("gyro.bias",),
+        )
 
 
 def _excessive_scatter(estimate: Estimate, observations: Observations) -> Iterator[Finding]:
@@ -147,16 +134,14 @@ def _excessive_scatter(estimate: Estimate, observations: Observations) -> Iterat
         yield refusal(
             f"the rests scatter by {rests.scatter / G_STANDARD * 1e3:.2g} mg, more than 1 mg: the device moved at "
             "rest, or the accelerometers do not follow the model",
-            "accel",
+            concerns=("accel",),
         )
     if turns is not None and turns.scatter > TURN_SCATTER_LIMIT:
         worst = observations.turn_named(int(np.argmax(estimate.turn_sigmas)))
         yield refusal(
-            Advised(
-                f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°",
-                f"look for damaged or lost samples of the gyros, first in {worst}",
-            ),
-            "gyro",
+            f"the turns scatter by {turns.scatter / DEGREE:.2g}°, more than {TURN_SCATTER_LIMIT / DEGREE:.0f}°",
+            f"look for damaged or lost samples of the gyros, first in {worst}",
+            concerns=("gyro",),
         )
 
 
@@ -165,25 +150,20 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Fin
 
     They are remarks for methods that leave out what does not fit, unless too much was left out, and refuse estimates
     of other methods."""
-    rests, turns, out = observations.rests, observations.turns, estimate.left_out
-    N, K = len(rests), 0 if turns is None else len(turns)
-    no_rest, by_gyros = np.zeros(N, dtype=bool), np.zeros(N, dtype=bool)
-    if len(estimate.gyro_rest_sigmas):
-        by_gyros = estimate.gyro_rest_sigmas == estimate.rest_sigmas
-    accel, gyro, turn = (no_rest, no_rest, np.zeros(K, dtype=bool)) if out is None else (out.accel, out.gyro, out.turn)
+    rests, none = observations.rests, np.zeros(len(observations.rests), dtype=bool)
+    no_turn = np.zeros(0 if observations.turns is None else len(observations.turns), dtype=bool)
+    out, refuses = estimate.left_out or Omitted(accel=none, gyro=none, turn=no_turn), estimate.left_out is None
     for kind, what, omitted in (
-        ("accel", "rests", accel),
-        ("gyro", "rests by their gyros", gyro),
-        ("gyro", "turns", turn),
+        ("accel", "rests", out.accel),
+        ("gyro", "rests by their gyros", out.gyro),
+        ("gyro", "turns", out.turn),
     ):
         if omitted.sum() > LARGEST_SHARE * len(omitted):
             yield refusal(
-                Advised(
-                    f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third: the data contradict the "
-                    "model",
-                    "look at the rests with `tumble inspect`",
-                ),
-                kind,
+                f"{omitted.sum()} of {len(omitted)} {what} do not fit, more than a third: the data contradict the "
+                "model",
+                "look at the rests with `tumble inspect`",
+                concerns=(kind,),
             )
 
     def misses(sigmas: float, left_out: bool, by: str = "") -> str:
@@ -191,16 +171,18 @@ def _not_fitting(estimate: Estimate, observations: Observations) -> Iterator[Fin
             return f" was left out{by}: {sigmas:.1f} sigma from what the others predict"
         return f" does not fit{by}: {sigmas:.1f} sigma"
 
-    for i in np.flatnonzero((estimate.rest_sigmas > FIT_SIGMAS) | accel | gyro):
-        left_out = bool(accel[i] or gyro[i])
-        gyros = bool(gyro[i] and not accel[i]) if left_out else bool(by_gyros[i])
+    for i in np.flatnonzero((estimate.rest_sigmas > FIT_SIGMAS) | out.accel | out.gyro):
+        left_out, sigmas = bool(out.accel[i] or out.gyro[i]), estimate.rest_sigmas[i]
+        gyros = bool(out.gyro[i] and not out.accel[i])
+        if not left_out and len(estimate.gyro_rest_sigmas):
+            gyros = bool(estimate.gyro_rest_sigmas[i] == sigmas)
         sentence = f"{observations.rest_named(int(i))} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s)"
-        sentence += misses(estimate.rest_sigmas[i], left_out, " by its gyros" if gyros else "")
+        sentence += misses(sigmas, left_out, " by its gyros" if gyros else "")
         sentence += "" if gyros else f", residual {estimate.rest_residual[i]:.2g} m/s^2"
-        yield Finding(sentence=sentence, concerns=("gyro",) if gyros else (), refuses=out is None)
-    for k in np.flatnonzero((estimate.turn_sigmas > FIT_SIGMAS) | turn) if len(estimate.turn_sigmas) else ():
-        sentence = observations.turn_named(int(k)) + misses(estimate.turn_sigmas[k], bool(turn[k]))
-        yield Finding(sentence=sentence, concerns=() if out is None else ("gyro",), refuses=out is None)
+        yield Finding(sentence=sentence, concerns=("gyro",) if gyros else (), refuses=refuses)
+    for k in np.flatnonzero((estimate.turn_sigmas > FIT_SIGMAS) | out.turn) if len(estimate.turn_sigmas) else ():
+        sentence = observations.turn_named(int(k)) + misses(estimate.turn_sigmas[k], bool(out.turn[k]))
+        yield Finding(sentence=sentence, concerns=() if refuses else ("gyro",), refuses=refuses)
 
 
 # -------------------- motion --------------------
@@ -216,28 +198,26 @@ def _of_motion(estimate: Estimate, observations: Observations, missing: tuple[st
     links, linearised = observations.links, estimate.linearised
     assert links is not None
     n = len(observations.rests)
-    sentence = f"{n} rest{'s' * (n != 1)} and {float(links.duration.sum()):.0f} s of motion"
+    recorded = f"{n} rest{'s' * (n != 1)} and {float(links.duration.sum()):.0f} s of motion"
     advice = (
         "turn it for two minutes about a point that stays in place, a tripod head or a ball joint, through all "
         "attitudes, or put it down in nine or more positions (`tumble programme` shows them)"
     )
     if not estimate.converged or linearised is None:
-        yield refusal(Advised(f"{sentence} do not fit the model", advice))
+        yield refusal(f"{recorded} do not fit the model", advice)
         return
     if missing:
         named = ", ".join(missing[:MOST_NAMED]) + (" and others" if len(missing) > MOST_NAMED else "")
-        yield refusal(Advised(f"{sentence} do not determine {named} well enough", advice), *missing)
+        yield refusal(f"{recorded} do not determine {named} well enough", advice, concerns=missing)
     support, displacement = linearised.point.local[0, -SUPPORT_COLUMNS:], float(linearised.components.displacement)
     if scipy.special.chdtrc(SUPPORT_COLUMNS, float((support**2).sum()) / SUPPORT_U**2) < FALSE_ALARMS:
         yield refusal(
-            Advised(
-                f"the device moved by {100.0 * float(np.abs(support).max()):.1f} cm and more with its attitude: what "
-                "held it gave way",
-                "hold it by something stiffer, or turn it in the hand without a rhythm",
-            )
+            f"the device moved by {100.0 * float(np.abs(support).max()):.1f} cm and more with its attitude: what held "
+            "it gave way",
+            "hold it by something stiffer, or turn it in the hand without a rhythm",
         )
     elif displacement > LARGEST_DISPLACEMENT and not missing:
-        yield refusal(Advised(f"the device moved by {displacement:.1f} m in motion", "keep it in one place"))
+        yield refusal(f"the device moved by {displacement:.1f} m in motion", "keep it in one place")
     yield from unusual_groups(estimate)
 
 

@@ -153,8 +153,8 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
     of_accel, of_gyros = channel_faults(reduction, session.log)
     faults = (
         [fault.sentence for fault in of_accel]
-        or accelerometer_faults(reduction, session)
-        or mixed_rows(reduction, session.log)
+        or [*accelerometer_faults(reduction, session)]
+        or [*mixed_rows(reduction, session.log)]
     )
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         reduction = without_blemishes(reduction)
@@ -169,7 +169,7 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
                     f"the gyros read another rate in {more} of {len(by_accel.rests)} rests of the accelerometers, and "
                     "why cannot be told: look at the rests with `tumble inspect`"
                 )
-        faults = faults or normalised(reduction, segmentation.rests, onto_body(session.accel_block.axes))
+        faults = faults or [*normalised(reduction, segmentation.rests, onto_body(session.accel_block.axes))]
         segmentation = without_times(reduction, segmentation, session.excluded)
         segmentation = replace(segmentation, stated_rate=session.log.rate)
         if session.gyro_block is not None and session.log.gyro is not None:
@@ -193,11 +193,13 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         by_grade = usual_sizes(grade_of(session, trial)[0], session.device.prior)
         faults = vertical_faults(trial, session, reduction.rate, by_grade["gyro.g_sensitivity"])
         if faults or rejected:
-            gyro_faults = high_passed(reduction, segmentation.rests) or ([rejected] if rejected and not faults else [])
+            gyro_faults = [*high_passed(reduction, segmentation.rests)]
+            if rejected and not faults:
+                gyro_faults = gyro_faults or [rejected]
         if gyro_faults:
             faults = vertical_faults(trial.of_accelerometers(), session, reduction.rate, 0.0)
     if session.log.gyro is not None and not faults and not gyro_faults:
-        gyro_faults = dead_zones(reduction, segmentation.rests, session.log.gyro)
+        gyro_faults = [*dead_zones(reduction, segmentation.rests, session.log.gyro)]
     return Observed(
         session=session,
         digest=digest,
