@@ -306,7 +306,7 @@ def without_jump(reduction: Reduction, segmentation: Segmentation, gyro: Block |
     if jump is None or gyro is None or not before:
         return reduction
     last, first = rests[before - 1 : before + 1]
-    step, files = gyro.axes @ jump.step, list[FileBlocks]()
+    step, files = gyro.axes @ jump, list[FileBlocks]()
     for file in reduction.files:
         series, since = file.gyro, first.first if file.file == first.file else 0
         if file.file >= first.file:
@@ -317,7 +317,7 @@ def without_jump(reduction: Reduction, segmentation: Segmentation, gyro: Block |
         files.append(replace(file, gyro=series))
     samples, gaps = reduction.samples, reduction.gaps
     if samples is not None:
-        samples = samples.with_rate_subtracted(reduction.by_file[first.file].sample_at(first.first), jump.step)
+        samples = samples.with_rate_subtracted(reduction.by_file[first.file].sample_at(first.first), jump)
     if last.file == first.file:
         gaps = (*gaps, gap_between(last, first, 1, "left out", why=""))
     return replace(reduction, files=tuple(files), samples=samples, gaps=gaps)

@@ -37,6 +37,7 @@ which reveals a turn about a nearly vertical axis by its small tilt.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import ClassVar, Literal
@@ -46,7 +47,7 @@ import numpy as np
 from tumble.earth import EARTH_RATE
 from tumble.programme.positions import Programme
 from tumble.recording.rows.gaps import Gap
-from tumble.reduction.blocks.reducer import FileBlocks, Reduction
+from tumble.reduction.blocks.reducer import ChannelState, FileBlocks, Reduction
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.rests.gyro_levels import OffLevel, Span, core, level_function, times_of
 from tumble.rotation import onto_body
@@ -54,7 +55,6 @@ from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
 DENSITY_POINTS = 1000  # points among which the densest is sought
-DENSITY_BATCH = 16  # points whose distances from all others fit into the cache
 ACCEL_ROUNDING = 1e-5  # m/s²: rounding of block means from single-precision increments
 GYRO_ROUNDING = 1e-7  # rad/s: the same
 LONGEST_LIST = 20  # stretches that a message lists one by one
@@ -121,25 +121,17 @@ def breaking_gap(before: Stretch, after: Stretch, gaps: tuple[Gap, ...]) -> Gap 
     return None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class LevelJump:
-    """A jump of the gyro level at rest by `step` (3,), rad/s, at `time`, s, of a file, where a rest begins."""
-
-    file: int
-    time: float
-    step: Array
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Segmentation:
     """The rests of a log.
 
     `rests`, `rejected`: the rests, and the quiet stretches that are no rests, in order of time. `rate_limit`,
     `scatter_limit`: limits of motion, for the distance of the rate from its level at rest, rad/s (None without gyros),
-    and for the scatter of the specific force, m/s². `jump`: jump of the gyro level at rest. `stated_rate`: sample rate,
-    Hz, of a log without time stamps, on which durations depend. `tuning`: thresholds of the search. `still_at_end`:
-    whether the device is motionless at the end of the log. `programme`, `position`: the programme to which the rests
-    were matched, and the position index (N,) of each rest in it."""
+    and for the scatter of the specific force, m/s². `jump`: jump of the gyro level at rest (3,), rad/s, if there is
+    one, and `jump_at`: file and start, s, of the rest after it. `stated_rate`: sample rate, Hz, of a log without time
+    stamps, on which durations depend. `tuning`: thresholds of the search. `still_at_end`: whether the device is
+    motionless at the end of the log. `programme`, `position`: the programme to which the rests were matched, and the
+    position index (N,) of each rest in it."""
 
     json_fields: ClassVar = ("scatter_limit", "rate_limit", "rejected")
 
@@ -147,7 +139,8 @@ class Segmentation:
     rejected: tuple[Stretch, ...]
     rate_limit: float | None
     scatter_limit: float
-    jump: LevelJump | None = None
+    jump: Array | None = None
+    jump_at: tuple[int, float] = 0, 0.0
     stated_rate: float | None = None
     tuning: Tuning = USUAL
     still_at_end: bool = False
@@ -164,7 +157,7 @@ class Segmentation:
         """Number of rests before the jump of the gyro level, 0 if no jump lies between two rests."""
         if self.jump is None:
             return 0
-        before = sum((r.file, r.start) < (self.jump.file, self.jump.time) for r in self.rests)
+        before = sum((r.file, r.start) < self.jump_at for r in self.rests)
         return before if before < len(self.rests) else 0
 
     def jumped(self) -> tuple[str, ...]:
@@ -173,7 +166,7 @@ class Segmentation:
         if self.jump is None or not before:
             return ()
         return (
-            f"the level of the gyros at rest jumps by {np.linalg.norm(self.jump.step) / DEGREE:.2g} °/s between rest "
+            f"the level of the gyros at rest jumps by {np.linalg.norm(self.jump) / DEGREE:.2g} °/s between rest "
             f"{before} (to {self.rests[before - 1].stop:z.1f} s) and rest {before + 1} (from "
             f"{self.rests[before].start:z.1f} s) and stays there: a driver that measured the bias anew, or another "
             f"device; calibrate the {before} rests before it and the {len(self.rests) - before} after it as launches "
@@ -191,16 +184,19 @@ class Segmentation:
     def _failing(self, *criteria: Fails) -> tuple[Stretch, ...]:
         return tuple(stretch for stretch in self.rejected if stretch.fails in criteria)
 
+    @property
+    def _too_short(self) -> str:
+        return f"too short: rests of {self.tuning.rest_seconds} s are long enough"
+
     def passed_over(self) -> tuple[str, ...]:
         """Return sentences that count the stretches that were nearly rests, by the criterion that they fail."""
         by = "" if self.stated_rate is None else f", by log.rate_hz = {self.stated_rate:g}, which no time confirms"
-        reasons = {
-            f"too short: rests of {self.tuning.rest_seconds} s are long enough{by}": self._failing("duration"),
-            "discarded because the gyros read otherwise than at rest": self._failing("level"),
-            "shaken: the gyros are at rest, the accelerometers are not; put it where nothing vibrates": self.shaken,
-        }
         sentences = []
-        for why, stretches in reasons.items():
+        for why, stretches in (
+            (self._too_short + by, self._failing("duration")),
+            ("discarded because the gyros read otherwise than at rest", self._failing("level")),
+            ("shaken: the gyros are at rest, the accelerometers are not; put it where nothing vibrates", self.shaken),
+        ):
             if seconds := sorted(r.stop - r.start for r in stretches):
                 similar = seconds[-1] - seconds[0] < 0.05
                 length = f"{seconds[0]:.1f} s" if similar else f"{seconds[0]:.1f}–{seconds[-1]:.1f} s"
@@ -214,7 +210,7 @@ class Segmentation:
             "level": "the accelerometers are quiet, but the gyros read otherwise than at rest",
             "scatter": "the gyros are quiet, but the accelerometers are not",
             "vertical": f"the vertical moves by more than {self.tuning.tilt / DEGREE:g}°",
-            "duration": f"too short: rests of {self.tuning.rest_seconds} s are long enough",
+            "duration": self._too_short,
         }
         sentences = []
         for fails, why in reasons.items():
@@ -266,30 +262,20 @@ class _RestSearch:
         self.rates: list[Array] | None = None
         if gyro is not None:
             self.rates = [np.asfortranarray(f.gyro.means @ onto_body(gyro.axes).T) for f in self.files]
-        self.force_step, self.rate_step = (
-            rounding + float(np.linalg.norm([channel.step for channel in channels if np.isfinite(channel.step)]))
-            for rounding, channels in (
-                (ACCEL_ROUNDING, reduction.accel_channels),
-                (GYRO_ROUNDING, reduction.gyro_channels),
-            )
-        )
+        self.force_step = ACCEL_ROUNDING + _resolution(reduction.accel_channels)
+        self.rate_step = GYRO_ROUNDING + _resolution(reduction.gyro_channels)
 
     def run(self) -> Segmentation:
         """Carry out all steps of the module docstring but the fifth, which belongs to `find_rests`."""
         tuning, window, rates = self.tuning, self.window, self.rates
-        scatter = [_moving_scatter(force, window) for force in self.forces]
-        floor = self._floor(np.concatenate(scatter))
+        scatter = [_moving(force, window)[1] for force in self.forces]
+        floor = self._floor(scatter)
         factor = tuning.floor_factor if rates is None else tuning.scatter_factor
         scatter_limit = factor * floor + self.force_step
         is_calm = [s < scatter_limit for s in scatter]
         if rates is None:
-            steps = []  # of the means from the window before each block to the one after it
-            for force in self.forces:
-                width = min(window, len(force) // 2)
-                mean = sliding_mean(force, width)
-                step = np.linalg.norm(mean[width:] - mean[:-width], axis=1)
-                steps.append(step[np.clip(np.arange(len(force)) - width, 0, len(step) - 1)])
-            step_limit = tuning.floor_factor * self._floor(np.concatenate(steps)) + self.force_step
+            steps = [_steps(force, window) for force in self.forces]
+            step_limit = tuning.floor_factor * self._floor(steps) + self.force_step
             spans = [_runs(calm & (step < step_limit)) for calm, step in zip(is_calm, steps, strict=True)]
             return self._segmentation(spans, None, scatter_limit, None, [])
         is_quiet = [s < tuning.quiet_factor * floor + self.force_step for s in scatter]
@@ -299,11 +285,11 @@ class _RestSearch:
         stretches = [(k, i, j) for k, of_file in enumerate(spans) for i, j in of_file if j - i >= 2 * window]
         stretches += [(s.place, s.first, s.last) for s in off]
         noise = [np.sqrt(rates[k][slice(*core(i, j, window))].var(axis=0).sum() / window) for k, i, j in stretches]
-        noise_limit = self._rate_limit(np.array([*noise, 0.0]))
+        noise_limit = self._rate_limit([np.array([*noise, 0.0])])
         times = times_of([f.edges for f in self.files])
         level = level_function(rates, self.forces, times, spans, off, noise_limit, window, tuning)
         if level is not None:
-            rates = level.subtracted_from(rates, self.forces, times)
+            rates = [level.subtracted_from(*of_file) for of_file in zip(rates, self.forces, times, strict=True)]
             spans, unmoved, rate_limit = self._find_still(rates, is_calm, is_quiet)
             spans = [_overlapping(new, accepted) for new, accepted in zip(spans, level.accepted, strict=True)]
             off = self._find_off_level(rates, is_calm, spans, rate_limit)
@@ -321,27 +307,25 @@ class _RestSearch:
                     reason = f"accelerometer scatter {shaking[i:j].max():.2g} m/s^2 within a second is above "
                     rejected.append(Stretch.of_blocks(f, (i, j), "scatter", f"{reason}{scatter_limit:.2g} m/s^2"))
         whole = self._segmentation(spans, rates, scatter_limit, rate_limit, rejected)
-        if level is None or not np.any(level.step):
-            return whole
-        time = dict(zip((f.file for f in self.files), times, strict=True))
-        later = [r for r in whole.rests if float(time[r.file][(r.first + r.last) // 2]) > level.step_at]
-        if not later:  # all stretches with the other level are too short for a rest
-            return whole
-        return replace(whole, jump=LevelJump(file=later[0].file, time=later[0].start, step=level.step))
+        if level is not None and np.isfinite(level.step_at):  # else all stretches with the other level are too short
+            time = {f.file: of_file for f, of_file in zip(self.files, times, strict=True)}
+            for rest in whole.rests:
+                if time[rest.file][(rest.first + rest.last) // 2] > level.step_at:
+                    return replace(whole, jump=level.coefficients[5], jump_at=(rest.file, rest.start))
+        return whole
 
     def _find_still(
         self, rates: list[Array], is_calm: list[BoolArray], is_quiet: list[BoolArray]
     ) -> tuple[list[list[Span]], list[list[Span]], float]:
         """Return by file the spans that are calm and do not turn, those that do not turn, and the rate limit, rad/s."""
-        smooth = [_moving_mean(rate, self.window) for rate in rates]
-        quiet_blocks = np.concatenate(is_quiet)
+        smooth = [_moving(rate, self.window)[0] for rate in rates]
         sparse = [s[quiet][:: self.window] for s, quiet in zip(smooth, is_quiet, strict=True)]
         level = [np.broadcast_to(_densest(np.concatenate(sparse)), s.shape) for s in smooth]
         spans: list[list[Span]] = [[] for _ in rates]
         is_still, limit = is_calm, 0.0
         for _ in range(5):  # the level follows slow drift from rest to rest
             distance = [np.linalg.norm(s - at, axis=1) for s, at in zip(smooth, level, strict=True)]
-            limit = self._rate_limit(np.concatenate(distance)[quiet_blocks])
+            limit = self._rate_limit([d[quiet] for d, quiet in zip(distance, is_quiet, strict=True)])
             is_still = [d < limit for d in distance]
             previous, spans = spans, [_runs(still & calm) for still, calm in zip(is_still, is_calm, strict=True)]
             if spans == previous:
@@ -359,8 +343,8 @@ class _RestSearch:
         if not at_rest:
             return []
         default = np.concatenate(at_rest).mean(axis=0)
-        scatter = [_moving_scatter(rate, window) for rate in rates]
-        steady_limit = tuning.scatter_factor * self._floor(np.concatenate(scatter))
+        scatter = [_moving(rate, window)[1] for rate in rates]
+        steady_limit = tuning.scatter_factor * self._floor(scatter)
         out = []
         for k, (f, rate, s, calm, force) in enumerate(
             zip(self.files, rates, scatter, is_calm, self.forces, strict=True)
@@ -380,12 +364,13 @@ class _RestSearch:
                     out.append(OffLevel(place=k, first=i, last=j, rate=offset))
         return out
 
-    def _rate_limit(self, distances: Array) -> float:
+    def _rate_limit(self, distances: list[Array]) -> float:
         """Return the largest distance of the gyros from their level at rest, rad/s, given those of quiet blocks."""
         return self.tuning.floor_factor * self._floor(distances) + 2.0 * EARTH_RATE + self.rate_step
 
-    def _floor(self, values: Array) -> float:
+    def _floor(self, by_file: list[Array]) -> float:
         """Return the median of positive values clipped at `floor_factor` medians, started from `quiet_share`."""
+        values = np.concatenate(by_file)
         floor = float(np.quantile(values, self.tuning.quiet_share))
         for _ in range(50):
             median = float(np.median(values[values <= self.tuning.floor_factor * floor]))
@@ -430,7 +415,7 @@ class _RestSearch:
                 rest = Stretch.between(f, f.edges[first] + before, f.edges[last] - after)
                 too_short = duration - before - after < tuning.rest - 1e-9
                 mean = force[first:last].mean(axis=0)
-                off = np.linalg.norm(_moving_mean(force[first:last], self.window) - mean, axis=1).max()
+                off = np.linalg.norm(_moving(force[first:last], self.window)[0] - mean, axis=1).max()
                 tilt = float(off / np.linalg.norm(mean))
                 warming = 0.0 if f.temperature is None else float(np.ptp(f.temperature[first:last], axis=0).max())
                 tilt_limit = tuning.tilt + tuning.tilt_per_kelvin * warming
@@ -457,46 +442,40 @@ class _RestSearch:
         values = self.forces if rates is None else [np.hstack(pair) for pair in zip(self.forces, rates, strict=True)]
         resolution = np.repeat([self.force_step, self.rate_step], 3)[: values[0].shape[1]]
         blurred = self.window // 2  # blocks at either end of a span that may belong to a turn
-        inner = {
-            (file, first, last): values[file][first + blurred : last - blurred]
-            for file, of_file in enumerate(spans)
-            for first, last in of_file
-        }
-        side = max(self.window, int(np.median([len(readings) for readings in inner.values()] or [0])) // 8)
-        inner = {span: readings for span, readings in inner.items() if len(readings) >= 6 * side}
-        if sum(map(len, inner.values())) < FEWEST_CHANGES * side:
+        inner = [
+            [readings[first + blurred : last - blurred] for first, last in of_file]
+            for readings, of_file in zip(values, spans, strict=True)
+        ]
+        lengths = [len(readings) for of_file in inner for readings in of_file]
+        side = max(self.window, int(np.median(lengths or [0])) // 8)
+        if sum(length for length in lengths if length >= 6 * side) < FEWEST_CHANGES * side:
             return spans
-
-        def changes(readings: Array) -> Array:
-            """Return the means over `side` blocks less those over `side` before them (m, c)."""
-            total = np.cumsum(np.vstack([readings[:1], readings]) - readings[0], axis=0)
-            return np.asarray(total[2 * side :] - 2.0 * total[side:-side] + total[: -2 * side]) / side
-
-        changes_of = {span: changes(readings) for span, readings in inner.items()}
-        usual = np.median(np.abs(np.concatenate([*changes_of.values()])), axis=0)
-
-        def step_in(readings: Array, change: Array) -> int | None:
-            """Return the block at which one of the readings (m, c) steps to another level, None if none does."""
-            beyond = (np.abs(change) - resolution) / np.maximum(usual, 1e-300)
-            row, c = np.unravel_index(np.argmax(beyond), beyond.shape)
-            step, at, reading = change[row, c], side + int(row), readings[:, [c]]
-            without_step = changes(reading - step * (np.arange(len(reading))[:, None] >= at))
-            sigma = max(usual[c], float(np.median(np.abs(without_step)))) / NORMAL_MEDIAN
-            if abs(step) - resolution[c] <= self.tuning.step_beyond * sigma:
-                return None
-            third = max(side // 3, 1)
-            near = reading[at : at + third].mean() - reading[at - third : at].mean()
-            whole = reading[at:].mean() - reading[:at].mean()
-            return at if near / step > 0.5 and 0.5 < whole / step < 2.0 else None
-
-        divided = [list[Span]() for _ in spans]
-        for file, of_file in enumerate(spans):
-            for first, last in of_file:
-                span = file, first, last
-                at = step_in(inner[span], changes_of[span]) if span in inner else None
-                ends = [first, last] if at is None else [first, first + blurred + at, last]
-                divided[file] += pairwise(ends)
+        long = [readings for of_file in inner for readings in of_file if len(readings) >= 6 * side]
+        usual = np.median(np.abs(np.concatenate([_changes(readings, side) for readings in long])), axis=0)
+        divided = []
+        for of_file, inner_of_file in zip(spans, inner, strict=True):
+            parts = list[Span]()
+            for (first, last), readings in zip(of_file, inner_of_file, strict=True):
+                at = self._step_in(readings, side, usual, resolution) if len(readings) >= 6 * side else None
+                parts += pairwise([first, last] if at is None else [first, first + blurred + at, last])
+            divided.append(parts)
         return divided
+
+    def _step_in(self, readings: Array, side: int, usual: Array, resolution: Array) -> int | None:
+        """Return the block at which one of the readings (m, c) steps to another level, None if none does.
+
+        `usual`: median sizes (c,) of the changes over `side` blocks in all rests."""
+        change = _changes(readings, side)
+        beyond = (np.abs(change) - resolution) / np.maximum(usual, 1e-300)
+        row, c = np.unravel_index(np.argmax(beyond), beyond.shape)
+        step, at, reading = change[row, c], side + int(row), readings[:, [c]]
+        without_step = _changes(reading - step * (np.arange(len(reading))[:, None] >= at), side)
+        sigma = max(usual[c], float(np.median(np.abs(without_step)))) / NORMAL_MEDIAN
+        third = max(side // 3, 1)
+        near = reading[at : at + third].mean() - reading[at - third : at].mean()
+        whole = reading[at:].mean() - reading[:at].mean()
+        is_large = abs(step) - resolution[c] > self.tuning.step_beyond * sigma
+        return at if is_large and near / step > 0.5 and 0.5 < whole / step < 2.0 else None
 
     def _extended(self, signals: list[tuple[Array, float]], first: int, last: int) -> Span:
         """Move the ends of a span, blurred by half a window, to where single blocks are more than `edge` standard
@@ -529,17 +508,33 @@ def _overlapping(spans: list[Span], others: list[Span]) -> list[Span]:
     return [(i, j) for i, j in spans if any(i < b and a < j for a, b in others)]
 
 
-def _moving_mean(values: Array, window: int) -> Array:
-    """Return the mean over `window` rows about each row, at the ends over the first and the last `window` rows."""
-    window = min(window, len(values))
-    return sliding_mean(values, window)[_window_of_row(len(values), window)]
+def _resolution(channels: Sequence[ChannelState]) -> float:
+    """Return the change of a vector by one step of all its channels."""
+    return float(np.linalg.norm([channel.step for channel in channels if np.isfinite(channel.step)]))
 
 
-def _moving_scatter(values: Array, window: int) -> Array:
-    """Return the root of the summed variances of the columns over the same windows."""
+def _moving(values: Array, window: int) -> tuple[Array, Array]:
+    """Return the mean (K, n) over `window` rows about each row, at the ends over the first and the last `window` rows,
+    and the root of the summed variances of the columns (K,) over the same rows."""
     window = min(window, len(values))
-    variance = sliding_variance(values, sliding_mean(values, window), window).sum(axis=1)
-    return np.asarray(np.sqrt(variance)[_window_of_row(len(values), window)])
+    mean = sliding_mean(values, window)
+    scatter = np.sqrt(sliding_variance(values, mean, window).sum(axis=1))
+    about = np.clip(np.arange(len(values)) - window // 2, 0, len(values) - window)
+    return mean[about], scatter[about]
+
+
+def _steps(values: Array, window: int) -> Array:
+    """Return the size (K,) of the change of the mean from the `window` rows before each row to those after it."""
+    width = min(window, len(values) // 2)
+    mean = sliding_mean(values, width)
+    step = np.linalg.norm(mean[width:] - mean[:-width], axis=1)
+    return np.asarray(step[np.clip(np.arange(len(values)) - width, 0, len(step) - 1)])
+
+
+def _changes(values: Array, side: int) -> Array:
+    """Return the means over `side` rows less those over `side` rows before them (m, c)."""
+    total = np.cumsum(np.vstack([values[:1], values]) - values[0], axis=0)
+    return np.asarray(total[2 * side :] - 2.0 * total[side:-side] + total[: -2 * side]) / side
 
 
 def sliding_mean(values: Array, window: int) -> Array:
@@ -558,20 +553,14 @@ def sliding_variance(values: Array, mean: Array, window: int) -> Array:
     return out / window
 
 
-def _window_of_row(rows: int, window: int) -> IntArray:
-    """Return the first row of the window about each row."""
-    return np.clip(np.arange(rows) - window // 2, 0, rows - window)
-
-
 def _densest(points: Array) -> Array:
     """Return the point with the nearest neighbours among at most DENSITY_POINTS evenly spread ones."""
+    from scipy.spatial import KDTree  # slow to import
+
     points = points[:: -(-len(points) // DENSITY_POINTS)]
-    neighbour, nearest = min(len(points) - 1, max(3, len(points) // 20)), []
-    for i in range(0, len(points), DENSITY_BATCH):
-        batch = points[i : i + DENSITY_BATCH]
-        squares = sum((mine[:, None] - column) ** 2 for mine, column in zip(batch.T, points.T, strict=True))
-        nearest.append(np.partition(squares, neighbour, axis=1)[:, neighbour])
-    return np.asarray(points[np.argmin(np.concatenate(nearest))])
+    neighbour = min(len(points) - 1, max(3, len(points) // 20))
+    distance, _ = KDTree(points).query(points, k=[neighbour + 1])
+    return np.asarray(points[np.argmin(distance)])
 
 
 def _runs(flags: BoolArray) -> list[Span]:
