@@ -555,12 +555,10 @@ def sliding_variance(values: Array, mean: Array, window: int) -> Array:
 
 def _densest(points: Array) -> Array:
     """Return the point with the nearest neighbours among at most DENSITY_POINTS evenly spread ones."""
-    from scipy.spatial import KDTree  # slow to import
-
     points = points[:: -(-len(points) // DENSITY_POINTS)]
     neighbour = min(len(points) - 1, max(3, len(points) // 20))
-    distance, _ = KDTree(points).query(points, k=[neighbour + 1])
-    return np.asarray(points[np.argmin(distance)])
+    squares = sum(np.subtract.outer(column, column) ** 2 for column in points.T)
+    return np.asarray(points[np.argmin(np.partition(squares, neighbour, axis=1)[:, neighbour])])
 
 
 def _runs(flags: BoolArray) -> list[Span]:

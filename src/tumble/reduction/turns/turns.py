@@ -18,7 +18,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import groupby, pairwise
+from operator import itemgetter
 from typing import ClassVar
 
 import numpy as np
@@ -129,38 +130,38 @@ class TurnSamples:
 
     def _gathered(self) -> Iterator[Pieces]:
         """Yield the batches of these samples, without those of `others`."""
-        parts: list[tuple[int, int, int, int]] = []
-        count = 0
-        for turn, (start, stop) in enumerate(zip(self.start, self.stop, strict=True)):
-            for at in range(int(start), int(stop), BATCH_SAMPLES):
-                end, ahead = min(at + BATCH_SAMPLES, int(stop)), min(AHEAD, at)
-                parts.append((turn, at - ahead, at, end))
-                count += end - at + ahead
-                if count >= BATCH_SAMPLES:
-                    yield self._pieces(parts, count)
-                    parts, count = [], 0
-        if parts:
-            yield self._pieces(parts, count)
+        spans = [
+            (turn, at, min(at + BATCH_SAMPLES, int(stop)))
+            for turn, (start, stop) in enumerate(zip(self.start, self.stop, strict=True))
+            for at in range(int(start), int(stop), BATCH_SAMPLES)
+        ]
+        done = np.cumsum([0, *(end - at for _, at, end in spans)]) // BATCH_SAMPLES
+        for _, batch in groupby(zip(done, spans, strict=False), key=itemgetter(0)):
+            turn, at, end = np.array([span for _, span in batch]).T
+            rates, forces, intervals = zip(*map(self._read, turn, at, end), strict=True)
+            stop = np.cumsum([len(each) for each in intervals])
+            yield Pieces(
+                rates=np.concatenate(rates),
+                forces=np.concatenate(forces),
+                intervals=np.concatenate(intervals),
+                turn=turn,
+                start=stop - (end - at),
+                stop=stop,
+            )
 
-    def _pieces(self, parts: list[tuple[int, int, int, int]], count: int) -> Pieces:
-        """Read a batch of `count` samples in parts of turns: (turn, first sample to read, first of the part, end)."""
-        rates, forces, intervals = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
-        pieces, done = [], 0
-        for turn, first, at, end in parts:
-            into = slice(done, done + end - first)
-            rates[into], forces[into], intervals[into] = self.samples.read(first, end)
-            if self.ramps is not None:
-                rise, fall = np.maximum(self.ramps[turn], 1)
-                at_sample = np.arange(at, end) + 0.5
-                weight = np.minimum((at_sample - self.start[turn]) / rise, (self.stop[turn] - at_sample) / fall)
-                intervals[done + at - first : done + end - first] *= np.minimum(weight, 1.0)
-            bad = slice(*np.searchsorted(self.bad.at, [first, end]))
-            places = done + self.bad.at[bad] - first
-            rates[places], forces[places] = np.hsplit(self.bad.values[bad], 2)
-            pieces.append((turn, done + at - first, done + end - first))
-            done += end - first
-        turns, start, stop = np.array(pieces).T
-        return Pieces(rates=rates, forces=forces, intervals=intervals, turn=turns, start=start, stop=stop)
+    def _read(self, turn: int, at: int, end: int) -> tuple[Array, Array, Array]:
+        """Return rates (m, 3), forces (m, 3) and weighted intervals (m,) of samples at … end − 1 of a turn, with up to
+        AHEAD samples before them."""
+        first = max(at - AHEAD, 0)
+        rates, forces, intervals = self.samples.read(first, end)
+        if self.ramps is not None:
+            rise, fall = np.maximum(self.ramps[turn], 1)
+            middle = np.arange(at, end) + 0.5
+            weight = np.minimum((middle - self.start[turn]) / rise, (self.stop[turn] - middle) / fall)
+            intervals[at - first :] *= np.minimum(weight, 1.0)
+        bad = slice(*np.searchsorted(self.bad.at, [first, end]))
+        rates[self.bad.at[bad] - first], forces[self.bad.at[bad] - first] = np.hsplit(self.bad.values[bad], 2)
+        return rates, forces, intervals
 
 
 def linear_compensation(gyro: Block, gyro_model: SensorModel, accel: Block, accel_model: SensorModel) -> Compensation:
