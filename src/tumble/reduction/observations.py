@@ -27,7 +27,6 @@ from tumble.brief import Brief
 from tumble.programme.positions import Programme
 from tumble.recording.session import Site
 from tumble.reduction.blocks.reducer import Reduction, extremes
-from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding_notes
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes, blemish_notes
 from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
@@ -257,7 +256,7 @@ def observe(
         if not spans:
             return without_rests(links, accel, gyro, site)
     sway = None if gyro is None else sway_of(reduction, spans)
-    rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro, sway)
+    rests, noise, rounded = reduced_rests(reduction, spans, accel, gyro, sway)
     notes, turns, turn_samples, readings = list[str](), None, None, None
     count = reduction.accel_channels[0].samples
     if reduction.held:
@@ -268,8 +267,8 @@ def observe(
     if reduction.lost:
         notes.append(f"long intervals leave room for {reduction.lost} lost samples among {count}")
     notes += blemish_notes(reduction, spans)
-    if gyro is not None and gyro_noise is not None and reduction.samples is not None:
-        noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
+    if gyro is not None and reduction.samples is not None:
+        noises = (accel, noise["accel"]), (gyro, noise["gyro"])
         if sway is not None:
             notes.append(
                 Advised(
