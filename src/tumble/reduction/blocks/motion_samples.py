@@ -37,13 +37,6 @@ class MotionSamples:
         out._subtracted = self, first, rate
         return out
 
-    def since(self, first: int) -> MotionSamples:
-        """Return a copy of the samples from `first` on, to which others may be added."""
-        out = MotionSamples(self._columns - 7)
-        if first < self.count:
-            out.append(*self.read_with_spare(first, self.count))
-        return out
-
     def append(self, rates: Array, forces: Array, dt: Array, spare: Array | None = None) -> None:
         """Add mean rates (m, 3) and forces (m, 3) over intervals dt (m,), s, and `spare` numbers (m, ·)."""
         parts = (rates, forces, dt[:, None]) if spare is None else (rates, forces, dt[:, None], spare)

@@ -162,11 +162,10 @@ class Reduction:
 
         Rows are held if hardly any channel repeats without all the others, or if channels that repeat independently in
         a `held_share` of the log would rarely do so together."""
-        channels = self.accel_channels + self.gyro_channels
-        samples, fewest = channels[0].samples, min(channel.repeats for channel in channels)
-        share, chance = self._repeats_by_chance
+        samples = self.accel_channels[0].samples
+        fewest = min(channel.repeats for channel in self.accel_channels + self.gyro_channels)
         together = self.repeated_rows >= 0.8 * fewest and fewest <= 0.7 * samples
-        return self.repeated_rows if together or self.repeated_rows > 3.0 * share * chance + 3.0 else 0
+        return self.repeated_rows if together or self.repeated_rows > 3.0 * self._runs_by_chance(1) + 3.0 else 0
 
     @property
     def held_runs(self) -> tuple[Gap, ...]:
@@ -175,15 +174,14 @@ class Reduction:
         None if many rows repeat: then rounding hides the noise of a device at rest, or each sample is logged often."""
         if self.repeated_rows > MOST_HELD * self.accel_channels[0].samples:
             return ()
-        share, chance = self._repeats_by_chance
-        return tuple(gap for gap in self.runs if share * chance**gap.samples < HELD_BY_CHANCE)
+        return tuple(gap for gap in self.runs if self._runs_by_chance(gap.samples) < HELD_BY_CHANCE)
 
-    @property
-    def _repeats_by_chance(self) -> tuple[float, float]:
-        """Number of samples at rest, a `held_share` of the log, and probability that all channels repeat in one."""
+    def _runs_by_chance(self, length: int) -> float:
+        """Return the expected number of runs of rows that repeat, at rest, if channels repeat independently."""
+        at_rest = self.tuning.held_share * self.accel_channels[0].samples
         channels = self.accel_channels + self.gyro_channels
-        share = self.tuning.held_share * channels[0].samples
-        return share, float(np.prod([min(1.0, channel.repeats / max(share, 1.0)) for channel in channels]))
+        shares = [min(1.0, channel.repeats / max(at_rest, 1.0)) for channel in channels]
+        return float(at_rest * np.prod(shares) ** length)
 
 
 class _Growing:
@@ -204,11 +202,6 @@ class _Growing:
             self._values = larger
         np.concatenate(parts, axis=1, out=self._values[self._count : stop])
         self._count = stop
-
-    def forget(self, count: int) -> None:
-        """Drop the first `count` rows."""
-        self._values = self._values[count:].copy()
-        self._count -= count
 
     @property
     def parts(self) -> list[Array]:
@@ -373,17 +366,6 @@ class Reducer:
                 for i, (kind, channels) in enumerate(self._channels.items())
             },
         )
-
-    def forget(self, blocks: int) -> None:
-        """Drop the first `blocks` blocks of the present file, their samples, and all files before it.
-
-        The other blocks, the channel states, which are those of all samples, and reductions that were given out do not
-        change."""
-        samples = blocks * self.size
-        self._blocks.forget(blocks)
-        if self._stored is not None:
-            self._stored = self._stored.since(self._first + samples)
-        self._files, self._first, self._count = [], 0, self._count - samples
 
     def now(self) -> Reduction:
         """Return the reduction of the samples so far, identical to that of a log which ends here.

@@ -24,19 +24,11 @@ from tumble.reduction.blocks.tuning import Tuning
 from tumble.units import Array, BoolArray
 
 Span = tuple[int, int]
+OffLevel = dict[tuple[int, int, int], Array]
+"""Differences (3,), rad/s, of the gyros from their level at rest in quiet, steady stretches, by the place of their file
+in the log, first block and end."""
 _G, _G_AND_DRIFT, _STEP, _G_AND_STEP = [0, 1, 2, 3], [0, 1, 2, 3, 4], [0, 5], [0, 1, 2, 3, 5]
 """Columns of b, G, d, s that are fitted together."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class OffLevel:
-    """A quiet, steady stretch, blocks first … last − 1 of the file at `place` in the log, whose gyros differ from their
-    level at rest by `rate` (3,), rad/s."""
-
-    place: int
-    first: int
-    last: int
-    rate: Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -65,7 +57,7 @@ def level_function(
     forces: list[Array],
     times: list[Array],
     rests: list[list[Span]],
-    off: list[OffLevel],
+    off: OffLevel,
     limit: float,
     window: int,
     tuning: Tuning,
@@ -77,7 +69,7 @@ def level_function(
     `window`: in blocks. Return None if no function explains the levels of most stretches, or if a constant explains
     them all."""
     at_level = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= window]
-    stretches = at_level + [(s.place, s.first, s.last) for s in off]
+    stretches = at_level + list(off)
     if len(stretches) < tuning.level_attitudes:
         return None
     cores = [(k, slice(*core(i, j, window))) for k, i, j in stretches]

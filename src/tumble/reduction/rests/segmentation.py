@@ -283,8 +283,8 @@ class _RestSearch:
         off = self._find_off_level(rates, is_calm, spans, rate_limit)
         # the limit for levels of whole stretches, from the noise within them
         stretches = [(k, i, j) for k, of_file in enumerate(spans) for i, j in of_file if j - i >= 2 * window]
-        stretches += [(s.place, s.first, s.last) for s in off]
-        noise = [np.sqrt(rates[k][slice(*core(i, j, window))].var(axis=0).sum() / window) for k, i, j in stretches]
+        cores = [(k, slice(*core(i, j, window))) for k, i, j in (*stretches, *off)]
+        noise = [np.sqrt(rates[k][span].var(axis=0).sum() / window) for k, span in cores]
         noise_limit = self._rate_limit([np.array([*noise, 0.0])])
         times = times_of([f.edges for f in self.files])
         level = level_function(rates, self.forces, times, spans, off, noise_limit, window, tuning)
@@ -294,13 +294,13 @@ class _RestSearch:
             spans = [_overlapping(new, accepted) for new, accepted in zip(spans, level.accepted, strict=True)]
             off = self._find_off_level(rates, is_calm, spans, rate_limit)
         rejected = []
-        for s in off:
+        for (k, i, j), rate in off.items():
             reason = (
-                f"the accelerometers are quiet, but the gyros read {np.linalg.norm(s.rate) / DEGREE:.2g} °/s off "
+                f"the accelerometers are quiet, but the gyros read {np.linalg.norm(rate) / DEGREE:.2g} °/s off "
                 f"their level at rest, more than {rate_limit / DEGREE:.2g} °/s: a slow turn, or a bias that depends on "
                 "attitude"
             )
-            rejected.append(Stretch.of_blocks(self.files[s.place], (s.first, s.last), "level", reason))
+            rejected.append(Stretch.of_blocks(self.files[k], (i, j), "level", reason))
         for f, shaking, of_file, calm in zip(self.files, scatter, unmoved, is_calm, strict=True):
             for i, j in of_file:
                 if not calm[i:j].any() and f.edges[j] - f.edges[i] >= tuning.rest:
@@ -335,17 +335,17 @@ class _RestSearch:
 
     def _find_off_level(
         self, rates: list[Array], is_calm: list[BoolArray], spans: list[list[Span]], limit: float
-    ) -> list[OffLevel]:
+    ) -> OffLevel:
         """Return quiet, steady stretches whose gyros are off the level at rest by `limit` to `level_spread`, and in
         which the vertical moves less than a turn at that rate would move it."""
         tuning, window = self.tuning, self.window
         at_rest = [rate[i:j] for rate, of_file in zip(rates, spans, strict=True) for i, j in of_file]
         if not at_rest:
-            return []
+            return {}
         default = np.concatenate(at_rest).mean(axis=0)
         scatter = [_moving(rate, window)[1] for rate in rates]
         steady_limit = tuning.scatter_factor * self._floor(scatter)
-        out = []
+        out: OffLevel = {}
         for k, (f, rate, s, calm, force) in enumerate(
             zip(self.files, rates, scatter, is_calm, self.forces, strict=True)
         ):
@@ -361,7 +361,7 @@ class _RestSearch:
                 by_turn = float(np.linalg.norm(np.cross(offset, first))) * (seconds - tuning.window)
                 vertical_stays = moved < max(tuning.vertical_moves * by_turn, tuning.vertical_stays * size)
                 if limit < float(np.linalg.norm(offset)) < tuning.level_spread and vertical_stays:
-                    out.append(OffLevel(place=k, first=i, last=j, rate=offset))
+                    out[k, i, j] = offset
         return out
 
     def _rate_limit(self, distances: list[Array]) -> float:
