@@ -60,7 +60,6 @@ GYRO_ROUNDING = 1e-7  # rad/s: the same
 LONGEST_LIST = 20  # stretches that a message lists one by one
 FEWEST_CHANGES = 24  # independent changes that show how large they usually are
 NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal variable
-EXTENSION_STRIDE = 256  # blocks compared at a time when a stretch is extended
 
 Fails = Literal["duration", "scatter", "vertical", "level"]
 
@@ -397,16 +396,8 @@ class _RestSearch:
         rejected: list[Stretch],
     ) -> Segmentation:
         """Extend the spans, remove the margins, and keep those that are long enough and do not tilt."""
-        tuning, rests, extended = self.tuning, list[Stretch](), list[list[Span]]()
-        for k, of_file in enumerate(spans):
-            signals = [(self.forces[k], self.force_step)] + ([] if rates is None else [(rates[k], self.rate_step)])
-            merged: list[Span] = []
-            for first, last in sorted(self._extended(signals, i, j) for i, j in of_file):
-                if merged and first < merged[-1][1]:
-                    merged[-1] = merged[-1][0], max(last, merged[-1][1])
-                elif last > first:
-                    merged.append((first, last))
-            extended.append(merged)
+        tuning, rests = self.tuning, list[Stretch]()
+        extended = [self._extended(k, rates, of_file) for k, of_file in enumerate(spans)]
         for f, force, of_file in zip(self.files, self.forces, self._divided_at_steps(extended, rates), strict=True):
             for first, last in of_file:
                 duration = float(f.edges[last] - f.edges[first])
@@ -477,30 +468,25 @@ class _RestSearch:
         is_large = abs(step) - resolution[c] > self.tuning.step_beyond * sigma
         return at if is_large and near / step > 0.5 and 0.5 < whole / step < 2.0 else None
 
-    def _extended(self, signals: list[tuple[Array, float]], first: int, last: int) -> Span:
-        """Move the ends of a span, blurred by half a window, to where single blocks are more than `edge` standard
-        deviations off its mean."""
-        tenth = (last - first) // 10
-        cores = [values[first + tenth : last - tenth] for values, _ in signals]
-        means, sigmas = [core.mean(axis=0) for core in cores], [np.sqrt(core.var(axis=0).sum()) for core in cores]
-
-        def end(block: int, way: int) -> int:
-            """Return the first block unlike the span, backwards (way = −1) or forwards (1) from one within it."""
-            while True:
-                edge = max(0, block + way * EXTENSION_STRIDE)
-                rows = slice(min(edge, block), max(edge, block))
-                within = [
-                    np.linalg.norm(values[rows] - mean, axis=1) <= self.tuning.edge * sigma + rounding
-                    for (values, rounding), mean, sigma in zip(signals, means, sigmas, strict=True)
-                ]
-                inside = np.logical_and.reduce(within)[::way]
-                n_inside = len(inside) if inside.all() else int(np.argmin(inside))
-                block += way * n_inside
-                if n_inside < EXTENSION_STRIDE:
-                    return block
-
-        half = min(self.window, last - first) // 2
-        return end(first + half, -1), end(last - half, 1)
+    def _extended(self, k: int, rates: list[Array] | None, spans: list[Span]) -> list[Span]:
+        """Move the ends of the spans of a file, blurred by half a window, to where single blocks are more than `edge`
+        standard deviations off the mean of the span, and merge those that overlap."""
+        signals = [(self.forces[k], self.force_step)] + ([] if rates is None else [(rates[k], self.rate_step)])
+        middles, merged = [0, *((first + last) // 2 for first, last in spans), len(self.files[k])], list[Span]()
+        for (first, last), low, high in zip(spans, middles, middles[2:], strict=False):
+            tenth, half, is_like = (last - first) // 10, min(self.window, last - first) // 2, np.full(high - low, True)
+            for values, rounding in signals:
+                inner = values[first + tenth : last - tenth]
+                beyond = np.linalg.norm(values[low:high] - inner.mean(axis=0), axis=1) - rounding
+                is_like &= beyond <= self.tuning.edge * np.sqrt(inner.var(axis=0).sum())
+            unlike = low + np.flatnonzero(~is_like)
+            start = int(unlike[unlike < first + half].max(initial=low - 1)) + 1
+            stop = int(unlike[unlike >= last - half].min(initial=high))
+            if merged and start < merged[-1][1]:
+                merged[-1] = merged[-1][0], max(stop, merged[-1][1])
+            elif stop > start:
+                merged.append((start, stop))
+        return merged
 
 
 def _overlapping(spans: list[Span], others: list[Span]) -> list[Span]:
