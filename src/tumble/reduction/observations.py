@@ -314,18 +314,17 @@ def split_warming_rests(reduction: Reduction, whole: Segmentation, least: int = 
     the parts in place of the rests, and the number (N,) of the rest that each part belongs to."""
     by_file, spans, number = reduction.by_file, list[Stretch](), list[int]()
     for i, span in enumerate(whole.rests):
-        file = by_file[span.file]
-        kelvin = None if file.temperature is None else file.temperature[span.first : span.last]
-        parts = 1
-        if kelvin is not None:
+        file, parts = by_file[span.file], 1
+        if file.temperature is not None:
+            kelvin = file.temperature[span.first : span.last]
             tenths = [part.mean(axis=0) for part in np.array_split(kelvin, min(10, len(kelvin)))]
             change = max(warming_of(kelvin), float(np.ptp(tenths, axis=0).max()))
             most = min(MAX_PARTS, int((span.stop - span.start) / SHORTEST_PART))
             parts = max(1, min(max(int(np.ceil(change / WARMED)), least), most))
-        for first, last in pairwise(np.linspace(span.first, span.last, parts + 1).round().astype(int).tolist()):
-            edges = span.start if first == span.first else file.edges[first], file.edges[last]
-            stop = span.stop if last == span.last else float(edges[1])
-            spans.append(replace(span, first=first, last=last, start=float(edges[0]), stop=stop))
+        blocks = np.linspace(span.first, span.last, parts + 1).round().astype(int).tolist()
+        times = [span.start, *file.edges[blocks[1:-1]].tolist(), span.stop]
+        for (first, last), (start, stop) in zip(pairwise(blocks), pairwise(times), strict=True):
+            spans.append(replace(span, first=first, last=last, start=start, stop=stop))
             number.append(i)
     position = None if whole.position is None else whole.position[number]
     return replace(whole, rests=tuple(spans), position=position), np.array(number, dtype=np.int64)
