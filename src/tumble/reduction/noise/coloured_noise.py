@@ -15,7 +15,7 @@ Correlation between channels is that of the innovations.
 
 A rest more than LONG_RATIO times as long as most, such as the first one by hand, contains drift that the others are too
 short to show, and that would count as their noise. In the fit of the others it is divided into pieces of their length,
-without those that are significantly noisier; the long rests have a noise that is fitted to them alone.
+of which a noisier one has its own level; the long rests have a noise that is fitted to them alone.
 
 A linear drift does not change the mean of a rest, but would count as noise of so long a memory that averaging does not
 remove it. If the rests bend less than such noise would, the line of each rest is subtracted like its mean.
@@ -89,11 +89,6 @@ def fit_coloured_noise(rests: Sequence[Array]) -> ColouredNoise:
         return _fit(rests)
     ordinary = [i for i, rest in enumerate(rests) if len(rest) <= LONG_RATIO * typical]
     pieces = [piece for i in long for piece in np.array_split(rests[i], math.ceil(len(rests[i]) / typical))]
-    noise = _fit([rests[i] for i in ordinary])
-    centred = _centred([rests[i] for i in ordinary] + pieces, noise.batch)
-    levels = [_levels([x[:, c] for x in centred], a) for c, a in enumerate(noise.autocovariance)]
-    is_louder = np.max(levels, axis=0)[len(ordinary) :] > 1.0
-    pieces = [piece for piece, louder in zip(pieces, is_louder, strict=True) if not louder]
     noise, long_noise = _fit([rests[i] for i in ordinary] + pieces), fit_coloured_noise([rests[i] for i in long])
     level = np.empty((len(rests), rests[0].shape[1]))
     level[ordinary], level[long] = noise.level[: len(ordinary)], long_noise.level
