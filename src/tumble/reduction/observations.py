@@ -268,7 +268,6 @@ def observe(
         notes.append(f"long intervals leave room for {reduction.lost} lost samples among {count}")
     notes += blemish_notes(reduction, spans)
     if gyro is not None and reduction.samples is not None:
-        noises = (accel, noise["accel"]), (gyro, noise["gyro"])
         if sway is not None:
             notes.append(
                 Advised(
@@ -279,9 +278,11 @@ def observe(
                 )
             )
             rests = replace(rests, accel=rests.accel * (1.0 + sway.shortened)[:, None])
-        turned = turns, turn_samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded, sway)
+        turned = reduced_turns(reduction, reduction.samples, spans, rests, (accel, gyro), noise, rounded, sway)
+        turns, turn_samples = turned
         notes += bad_sample_notes(turn_samples.bad, turns.first)
-        readings = turn_readings(reduction, spans, turned, noises[1], rounded["gyro"]) if gyro.size > 3 else None
+        if gyro.size > 3:
+            readings = turn_readings(reduction, spans, turned, gyro, noise["gyro"], rounded["gyro"])
         if arrays is None:  # includes turns that are left out
             parts = [(f.first_sample, f.sample_at(len(f))) for f in reduction.files]
             limits = extremes(reduction.accel_channels), extremes(reduction.gyro_channels)

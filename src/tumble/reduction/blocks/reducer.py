@@ -276,7 +276,7 @@ class Reducer:
         self._blocks = _Growing(1)
         is_array = gyro is not None and accel.size >= FEWEST
         self._null_spaces = [left_null_space(block.axes) for block in (accel, gyro) if block is not None and is_array]
-        self._to_body = [_to_body(block) for block in (accel, gyro) if block is not None]
+        self._to_body = [onto_body(block.axes).T for block in (accel, gyro) if block is not None]
         self._stored = MotionSamples(sum(map(len, self._null_spaces))) if gyro else None
         self._lost = self._repeated = 0
         self._last: tuple[Array, ...] = ()
@@ -303,7 +303,7 @@ class Reducer:
         if self._stored is not None and chunk.gyro is not None:
             # components of an array's readings that no force or rate explains
             spare = [v @ null_space.T for v, null_space in zip(readings, self._null_spaces, strict=False)]
-            forces, rates = (v if to is None else v @ to for v, to in zip(readings, self._to_body, strict=True))
+            forces, rates = (v @ to_body for v, to_body in zip(readings, self._to_body, strict=True))
             self._stored.append(rates, forces, chunk.dt, np.hstack(spare) if spare else None)
         # rows that are equal to the row before; the first row of a file has none before it
         repeats = np.zeros(len(chunk.time), dtype=bool)
@@ -383,12 +383,6 @@ class Reducer:
             runs=tuple(self._runs),
             clock_rate=self.clock_rate,
         )
-
-
-def _to_body(block: Block) -> Array | None:
-    """Return the matrix (n, 3) that takes readings (m, n) to body vectors (m, 3), None if it is the identity."""
-    to_body = np.asarray(onto_body(block.axes).T, dtype=float)
-    return None if np.array_equal(to_body, np.eye(3)) else to_body
 
 
 def reduce_log(

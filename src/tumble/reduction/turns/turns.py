@@ -179,16 +179,16 @@ def reduced_turns(
     stored: MotionSamples,
     spans: tuple[Stretch, ...],
     rests: Rests,
-    accel_noise: tuple[Block, ColouredNoise],
-    gyro_noise: tuple[Block, ColouredNoise],
+    blocks: tuple[Block, Block],
+    noise: Mapping[str, ColouredNoise],
     rounded: Mapping[str, Rounding],
     sway: Sway | None = None,
 ) -> tuple[Turns, TurnSamples]:
     """Integrate the completely recorded turns between consecutive rests, with nominal gyros.
 
-    `spans`, `rests`: the rests as stretches of blocks, and their means. `accel_noise`, `gyro_noise`: sensors of each
-    kind, and noise of their block means. `rounded`: resolution of "accel" and "gyro". `sway`: of a device that sways,
-    whose turns are then from mean attitude to mean attitude."""
+    `spans`, `rests`: the rests as stretches of blocks, and their means. `blocks`: accelerometers and gyros. `noise`,
+    `rounded`: of their block means, and their resolution, for "accel" and "gyro". `sway`: of a device that sways, whose
+    turns are then from mean attitude to mean attitude."""
     pairs = [
         (i, reduction.by_file[before.file], before, after)
         for i, (before, after) in enumerate(pairwise(spans))
@@ -210,21 +210,21 @@ def reduced_turns(
         ramps *= (duration > 0.0)[:, None]  # not between the parts of a rest
         duration = duration + 0.5 * (ramps / reduction.rate).sum(axis=1)
         samples = replace(samples, start=start - ramps[:, 0], stop=stop + ramps[:, 1], ramps=ramps)
-    (accel, noise_of_forces), (gyro, noise_of_rates) = accel_noise, gyro_noise
+    accel, gyro = blocks
     nominal = linear_compensation(gyro, gyro.nominal(), accel, accel.nominal())
     moments, C, V = integrate_in_parts(samples.pieces(), samples.lengths, PATH_STEPS, nominal)
     seconds = moments.T.reshape(-1, PATH_STEPS)
     Phi = np.einsum("kpij,kpj...->ki...", C[:, :-1], moments.Phi[..., :4].reshape(-1, PATH_STEPS, 3, 3, 4))
     noise_time = np.maximum(duration, block_seconds)
 
-    def integral_covariances(block: Block, noise: ColouredNoise) -> tuple[Array, Array]:
+    def integral_covariances(block: Block) -> tuple[Array, Array]:
         """Return covariances (K, 3, 3), in the body, of the integrals over the turns, from noise and from rounding."""
         to_body, from_rounding = onto_body(block.axes), _rounding_covariance(samples, block, rounded[block.kind])
-        from_noise = np.array([T**2 * noise.covariance_of_mean(T / block_seconds) for T in noise_time])
+        from_noise = np.array([T**2 * noise[block.kind].covariance_of_mean(T / block_seconds) for T in noise_time])
         return to_body @ from_noise.reshape(from_rounding.shape) @ to_body.T, to_body @ from_rounding @ to_body.T
 
-    velocity = np.trace(sum(integral_covariances(accel, noise_of_forces)), axis1=1, axis2=2) / 3.0
-    from_noise, from_rounding = integral_covariances(gyro, noise_of_rates)
+    velocity = np.trace(sum(integral_covariances(accel)), axis1=1, axis2=2) / 3.0
+    from_noise, from_rounding = integral_covariances(gyro)
     density = from_noise / noise_time[:, None, None] if sway is None else sway.density
     density = density + from_rounding / noise_time[:, None, None]
     # error of the integration, of third order in the angle of a step (docs/explanation/mathematics.md (6)), and floor
@@ -243,7 +243,7 @@ def reduced_turns(
         M=Phi[..., 1:],
         B=Phi[..., 0],
         covariance=covariance,
-        arising=np.array([noise_of_rates.arising(T / block_seconds) for T in noise_time]),
+        arising=np.array([noise["gyro"].arising(T / block_seconds) for T in noise_time]),
         velocity_covariance=(velocity + floor**2)[:, None, None] * np.eye(3),
         jumps=moments.jumps.reshape(-1, PATH_STEPS).sum(axis=1),
         aliased=aliased_rotations(samples, covariance),
@@ -302,11 +302,12 @@ def turn_readings(
     reduction: Reduction,
     spans: tuple[Stretch, ...],
     turned: tuple[Turns, TurnSamples],
-    gyro_noise: tuple[Block, ColouredNoise],
+    gyro: Block,
+    noise: ColouredNoise,
     rounded: Rounding,
 ) -> TurnReadings:
     """Integrate the readings of every gyro between the rests, from the blocks."""
-    (turns, samples), (gyro, noise) = turned, gyro_noise
+    turns, samples = turned
     integral, covariance = np.zeros((len(turns), gyro.size)), _rounding_covariance(samples, gyro, rounded)
     for k, (i, j, T) in enumerate(zip(turns.first, turns.last, turns.duration, strict=True)):
         blocks, between = reduction.by_file[spans[i].file], slice(spans[i].last, spans[j].first)
