@@ -233,7 +233,7 @@ class _Channels:
         weights = seconds[:, None] if self.increments else np.full((len(ends), 1), float(self.size))
         return out / weights, values[ends], weights
 
-    def series(self, means: Array, ends: Array, weights: Array, seconds: float) -> ChannelSeries:
+    def series(self, seconds: float, means: Array, ends: Array, weights: Array) -> ChannelSeries:
         """Return the channels over the blocks of the file; the tail after the last block covers `seconds`."""
         return ChannelSeries(
             means=means,
@@ -362,7 +362,7 @@ class Reducer:
             edges=edges[:, 0],
             temperature=temperature[1:] if temperature.shape[1] else None,
             **{
-                kind: channels.series(*(x[1:] for x in blocks[3 * i : 3 * i + 3]), tail_seconds)
+                kind: channels.series(tail_seconds, *(x[1:] for x in blocks[3 * i : 3 * i + 3]))
                 for i, (kind, channels) in enumerate(self._channels.items())
             },
         )

@@ -24,9 +24,8 @@ from tumble.reduction.blocks.tuning import Tuning
 from tumble.units import Array, BoolArray
 
 Span = tuple[int, int]
-OffLevel = dict[tuple[int, int, int], Array]
-"""Differences (3,), rad/s, of the gyros from their level at rest in quiet, steady stretches, by the place of their file
-in the log, first block and end."""
+OffLevel = dict[Span, Array]
+"""Differences (3,), rad/s, of the gyros from their level at rest in quiet, steady stretches, by first block and end."""
 _G, _G_AND_DRIFT, _STEP, _G_AND_STEP = [0, 1, 2, 3], [0, 1, 2, 3, 4], [0, 5], [0, 1, 2, 3, 5]
 """Columns of b, G, d, s that are fitted together."""
 
@@ -35,12 +34,12 @@ _G, _G_AND_DRIFT, _STEP, _G_AND_STEP = [0, 1, 2, 3], [0, 1, 2, 3, 4], [0, 5], [0
 class LevelFunction:
     """The gyro level as a function of force and time.
 
-    `coefficients`: of the regressors (6, 3), that of 1 zero. `step_at`: t₀, infinite without a jump. `accepted`: by
-    file, the stretches whose level follows the function."""
+    `coefficients`: of the regressors (6, 3), that of 1 zero. `step_at`: t₀, infinite without a jump. `accepted`: the
+    stretches whose level follows the function."""
 
     coefficients: Array
     step_at: float
-    accepted: list[list[Span]]
+    accepted: list[Span]
 
     def subtracted_from(self, rate: Array, force: Array, time: Array) -> Array:
         """Return the rates of blocks (K, 3) less the part of the level that changes."""
@@ -53,10 +52,10 @@ def _regressors(force: Array, time: Array, step_at: float) -> Array:
 
 
 def level_function(
-    rates: list[Array],
-    forces: list[Array],
-    times: list[Array],
-    rests: list[list[Span]],
+    rate: Array,
+    force: Array,
+    time: Array,
+    rests: list[Span],
     off: OffLevel,
     limit: float,
     window: int,
@@ -64,16 +63,15 @@ def level_function(
 ) -> LevelFunction | None:
     """Fit G, d and s to the gyro levels of rests of at least a window and of stretches off the level.
 
-    `rates`, `forces`, `times`: by file, block means (K, 3) of the rate, rad/s, and of the specific force, m/s², and
-    times (K,), −1 … 1. `rests`: by file. `limit`: largest distance, rad/s, of a level that follows the function.
-    `window`: in blocks. Return None if no function explains the levels of most stretches, or if a constant explains
-    them all."""
-    at_level = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= window]
+    `rate`, `force`, `time`: block means (K, 3) of the rate, rad/s, and of the specific force, m/s², and times (K,),
+    −1 … 1. `limit`: largest distance, rad/s, of a level that follows the function. `window`: in blocks. Return None if
+    no function explains the levels of most stretches, or if a constant explains them all."""
+    at_level = [(i, j) for i, j in rests if j - i >= window]
     stretches = at_level + list(off)
     if len(stretches) < tuning.level_attitudes:
         return None
-    cores = [(k, slice(*core(i, j, window))) for k, i, j in stretches]
-    level, force, at = (np.array([x[k][span].mean(axis=0) for k, span in cores]) for x in (rates, forces, times))
+    cores = [slice(*core(i, j, window)) for i, j in stretches]
+    level, force, at = (np.array([x[span].mean(axis=0) for span in cores]) for x in (rate, force, time))
     usual = np.array([limit, *3 * [tuning.g_sensitivity], tuning.level_drift, tuning.level_drift]) / limit
     in_order = np.sort(at)[tuning.beside_jump - 1 : len(at) + 1 - tuning.beside_jump]
     steps = 0.5 * (in_order[1:] + in_order[:-1]) if len(off) >= tuning.beside_jump else ()  # one may be a turn
@@ -92,9 +90,9 @@ def level_function(
             stepless = fits if step == np.inf else stepless
     if columns == [0]:
         return None
-    accepted: list[list[Span]] = [[] for _ in rates]
+    accepted = list[Span]()
     is_sparse = len(stretches) < tuning.level_stretches  # each stretch then has a large influence on the fit
-    for n, (k, i, j) in enumerate(stretches):
+    for n, stretch in enumerate(stretches):
         accept = bool(fits[n])
         if accept and (is_sparse or n >= len(at_level)):  # do the others determine its level, and is it there?
             others = fits & (np.arange(len(fits)) != n)
@@ -103,20 +101,13 @@ def level_function(
             distance = float(np.linalg.norm(level[n] - rows[n] @ predicted))
             accept = leverage < tuning.level_uncertainty**2 and distance < limit * math.sqrt(1.0 + leverage)
         if accept:
-            accepted[k].append((i, j))
+            accepted.append(stretch)
         elif is_sparse:
             return None
     coefficients = np.zeros((6, 3))
     coefficients[columns] = usual[columns, None] * _least_squares(rows[fits], level[fits])[0]
     coefficients[0] = 0.0
     return LevelFunction(coefficients=coefficients, step_at=step_at, accepted=accepted)
-
-
-def times_of(edges: list[Array]) -> list[Array]:
-    """Return, by file, the times of the blocks between these edges, scaled to −1 … 1 over the log."""
-    middle = [0.5 * (e[1:] + e[:-1]) for e in edges]
-    first, last = min(float(t[0]) for t in middle), max(float(t[-1]) for t in middle)
-    return [(2.0 * t - first - last) / max(last - first, 1e-9) for t in middle]
 
 
 def core(first: int, last: int, window: int) -> Span:

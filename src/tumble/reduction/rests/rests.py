@@ -69,7 +69,7 @@ class Rests:
         gyros."""
 
         columns = dict[str, Any]()
-        for kind, readings, density in zip(FLOORS, (accel, gyro), densities, strict=False):
+        for kind, readings, density in zip(FLOORS, (accel, gyro), densities, strict=True):
             variance = density**2 / (stop - start) + FLOORS[kind] ** 2
             covariance = variance[:, None, None] * np.eye(readings.shape[1])
             columns |= _columns_of(kind, readings, covariance, np.zeros_like(readings), np.full_like(readings, density))
