@@ -184,31 +184,6 @@ class Reduction:
         return float(at_rest * np.prod(shares) ** length)
 
 
-class _Growing:
-    """A table to which rows are added; views that were given out stay as they are.
-
-    `columns`: widths of the parts of a row."""
-
-    def __init__(self, *columns: int) -> None:
-        self._edges = np.cumsum(columns)
-        self._values, self._count = np.empty((256, self._edges[-1])), 0
-
-    def add(self, *parts: Array) -> None:
-        """Add rows (m, ·), given in parts."""
-        stop = self._count + len(parts[0])
-        if stop > len(self._values):
-            larger = np.empty((max(stop, 2 * len(self._values)), self._values.shape[1]))
-            larger[: self._count] = self._values[: self._count]
-            self._values = larger
-        np.concatenate(parts, axis=1, out=self._values[self._count : stop])
-        self._count = stop
-
-    @property
-    def parts(self) -> list[Array]:
-        """The rows so far, in parts."""
-        return np.split(self._values[: self._count], self._edges[:-1], axis=1)
-
-
 class _Channels:
     """Running block sums and channel states of the n sensors of one kind.
 
@@ -273,7 +248,7 @@ class Reducer:
         self._files: list[FileBlocks] = []
         self._file, self._first, self._count = -1, 0, 0
         self._edge, self._stop, self._uncovered = 0.0, 0.0, 0.0
-        self._blocks = _Growing(1)
+        self._blocks, self._columns = list[Array](), np.zeros(0, dtype=np.int64)  # tables of blocks, and their parts
         is_array = gyro is not None and accel.size >= FEWEST
         self._null_spaces = [left_null_space(block.axes) for block in (accel, gyro) if block is not None and is_array]
         self._to_body = [onto_body(block.axes).T for block in (accel, gyro) if block is not None]
@@ -298,7 +273,8 @@ class Reducer:
         self._edge, self._uncovered = float(edges[-1]), float(uncovered[len(ends)])
         by_kind = [x.feed(getattr(chunk, kind), chunk, ends, seconds) for kind, x in self._channels.items()]
         kelvin = np.empty((len(ends), 0)) if chunk.temperature is None else chunk.temperature[ends]
-        self._blocks.add(edges[1:, None], kelvin, *chain.from_iterable(by_kind))
+        if len(ends):
+            self._blocks.append(np.hstack([edges[1:, None], kelvin, *chain.from_iterable(by_kind)]))
         readings = (chunk.accel,) if chunk.gyro is None else (chunk.accel, chunk.gyro)
         if self._stored is not None and chunk.gyro is not None:
             # components of an array's readings that no force or rate explains
@@ -333,8 +309,8 @@ class Reducer:
         self._uncovered, n_thermometers = 0.0, 0 if chunk.temperature is None else chunk.temperature.shape[1]
         sensors = [len(channels.state) for channels in self._channels.values()]
         widths = 1, n_thermometers, *(width for n in sensors for width in (n, n, 1))
-        self._blocks = _Growing(*widths)
-        self._blocks.add(np.array([[self._edge]]), *(np.zeros((1, width)) for width in widths[1:]))
+        self._columns = np.cumsum(widths)
+        self._blocks = [np.append(self._edge, np.zeros(self._columns[-1] - 1))[None]]
 
     def _add_runs(self, chunk: Chunk, repeats: BoolArray) -> None:
         """Add the runs of rows (m,) of a chunk that repeat the row before; one at its end may go on in the next."""
@@ -353,7 +329,9 @@ class Reducer:
 
     def _file_so_far(self) -> FileBlocks:
         """Return the blocks of the present file so far."""
-        edges, temperature, *blocks = self._blocks.parts
+        if len(self._blocks) > 1:
+            self._blocks = [np.concatenate(self._blocks)]
+        edges, temperature, *blocks = np.split(self._blocks[0], self._columns[:-1], axis=1)
         tail_seconds = self.clock_rate * (self._stop - self._edge) - self._uncovered
         return FileBlocks(
             file=self._file,
@@ -370,7 +348,7 @@ class Reducer:
     def now(self) -> Reduction:
         """Return the reduction of the samples so far, identical to that of a log which ends here.
 
-        No block is copied, and more samples may be added."""
+        More samples may be added. The blocks are copied once if there are new ones."""
         return Reduction(
             rate=self.rate,
             files=(*self._files, self._file_so_far()) if self._file >= 0 else (),
