@@ -27,7 +27,6 @@ from tumble.brief import Brief
 from tumble.programme.positions import Programme
 from tumble.recording.session import Site
 from tumble.reduction.blocks.reducer import Reduction, extremes
-from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.noise.rounding import Rounding, rounding_notes
 from tumble.reduction.rests.blemishes import BadSamples, bad_sample_notes, blemish_notes
 from tumble.reduction.rests.rests import Rests, reduced_rests, rows_of, thermometers_of
@@ -257,7 +256,7 @@ def observe(
         if not spans:
             return without_rests(links, accel, gyro, site)
     sway = None if gyro is None else sway_of(reduction, spans)
-    rests, accel_quiet, gyro_noise, rounded = reduced_rests(reduction, spans, accel, gyro, sway)
+    rests, noise, rounded = reduced_rests(reduction, spans, accel, gyro, sway)
     notes, turns, turn_samples, readings = list[str](), None, None, None
     count = reduction.accel_channels[0].samples
     if reduction.held:
@@ -268,8 +267,7 @@ def observe(
     if reduction.lost:
         notes.append(f"long intervals leave room for {reduction.lost} lost samples among {count}")
     notes += blemish_notes(reduction, spans)
-    if gyro is not None and gyro_noise is not None and reduction.samples is not None:
-        noises = (accel, fit_coloured_noise(accel_quiet)), (gyro, gyro_noise)
+    if gyro is not None and reduction.samples is not None:
         if sway is not None:
             notes.append(
                 Advised(
@@ -280,9 +278,11 @@ def observe(
                 )
             )
             rests = replace(rests, accel=rests.accel * (1.0 + sway.shortened)[:, None])
-        turned = turns, turn_samples = reduced_turns(reduction, reduction.samples, spans, rests, *noises, rounded, sway)
+        turned = reduced_turns(reduction, reduction.samples, spans, rests, (accel, gyro), noise, rounded, sway)
+        turns, turn_samples = turned
         notes += bad_sample_notes(turn_samples.bad, turns.first)
-        readings = turn_readings(reduction, spans, turned, noises[1], rounded["gyro"]) if gyro.size > 3 else None
+        if gyro.size > 3:
+            readings = turn_readings(reduction, spans, turned, gyro, noise["gyro"], rounded["gyro"])
         if arrays is None:  # includes turns that are left out
             parts = [(f.first_sample, f.sample_at(len(f))) for f in reduction.files]
             limits = extremes(reduction.accel_channels), extremes(reduction.gyro_channels)
@@ -315,18 +315,17 @@ def split_warming_rests(reduction: Reduction, whole: Segmentation, least: int = 
     the parts in place of the rests, and the number (N,) of the rest that each part belongs to."""
     by_file, spans, number = reduction.by_file, list[Stretch](), list[int]()
     for i, span in enumerate(whole.rests):
-        file = by_file[span.file]
-        kelvin = None if file.temperature is None else file.temperature[span.first : span.last]
-        parts = 1
-        if kelvin is not None:
+        file, parts = by_file[span.file], 1
+        if file.temperature is not None:
+            kelvin = file.temperature[span.first : span.last]
             tenths = [part.mean(axis=0) for part in np.array_split(kelvin, min(10, len(kelvin)))]
             change = max(warming_of(kelvin), float(np.ptp(tenths, axis=0).max()))
             most = min(MAX_PARTS, int((span.stop - span.start) / SHORTEST_PART))
             parts = max(1, min(max(int(np.ceil(change / WARMED)), least), most))
-        for first, last in pairwise(np.linspace(span.first, span.last, parts + 1).round().astype(int).tolist()):
-            edges = span.start if first == span.first else file.edges[first], file.edges[last]
-            stop = span.stop if last == span.last else float(edges[1])
-            spans.append(replace(span, first=first, last=last, start=float(edges[0]), stop=stop))
+        blocks = np.linspace(span.first, span.last, parts + 1).round().astype(int).tolist()
+        times = [span.start, *file.edges[blocks[1:-1]].tolist(), span.stop]
+        for (first, last), (start, stop) in zip(pairwise(blocks), pairwise(times), strict=True):
+            spans.append(replace(span, first=first, last=last, start=start, stop=stop))
             number.append(i)
     position = None if whole.position is None else whole.position[number]
     return replace(whole, rests=tuple(spans), position=position), np.array(number, dtype=np.int64)

@@ -7,14 +7,15 @@ The samples are reduced to blocks, and rests are searched among the blocks, by t
 its beginning, and its end as soon as something moves. A calibration has longer windows, and omits the ends of a rest.
 
 A `RestStream` searches a window every SEARCH blocks. Once it is WINDOW blocks long, the oldest blocks are dropped,
-except for the last CARRIED and those of an ongoing rest. The noise floors are those of the window rather than of all
-blocks of a log. An ongoing rest is cut every LONGEST seconds.
+except for the last CARRIED and those of an ongoing rest, and the samples of the others are reduced anew. The noise
+floors are those of the window rather than of all blocks of a log. An ongoing rest is cut every LONGEST seconds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -90,7 +91,8 @@ class RestStream:
         increments: Mapping[str, bool] = MappingProxyType({}),
     ) -> None:
         self._accel, self._gyro, self._site = accel, gyro, site
-        self._reducer = Reducer(rate=rate, accel=accel, gyro=gyro, increments=increments)
+        self._new_reducer = partial(Reducer, rate=rate, accel=accel, gyro=gyro, increments=increments)
+        self._reducer, self._window = self._new_reducer(), list[Chunk]()
         self._step = SEARCH * self._reducer.size
         self._samples = 0
         self._returned_until = -np.inf  # end of the last rest that was returned, s
@@ -101,7 +103,7 @@ class RestStream:
         ended = list[Observations]()
         while len(chunk.time):
             count = min(len(chunk.time), self._step - self._samples % self._step)
-            self._reducer.feed(chunk.part(slice(0, count)))
+            self._add(chunk.part(slice(0, count)))
             chunk = chunk.part(slice(count, None))
             self._samples += count
             if self._samples % self._step == 0:
@@ -111,6 +113,20 @@ class RestStream:
     def finish(self) -> list[Observations]:
         """Return the rests that have not been returned, including one that is ongoing at the end of the stream."""
         return self._search(finished=True)
+
+    def _add(self, chunk: Chunk) -> None:
+        """Add samples to the window."""
+        self._reducer.feed(chunk)
+        self._window.append(chunk)
+
+    def _drop(self, blocks: int) -> None:
+        """Drop the first blocks of the window."""
+        window, n_dropped = self._window, blocks * self._reducer.size
+        self._reducer, self._window = self._new_reducer(), []
+        for chunk in window:
+            if n_dropped < len(chunk.time):
+                self._add(chunk.part(slice(n_dropped, None)))
+            n_dropped = max(n_dropped - len(chunk.time), 0)
 
     def _search(self, *, finished: bool = False) -> list[Observations]:
         reduction = self._reducer.now()
@@ -144,5 +160,5 @@ class RestStream:
             out = [observations.of_rest(spans.index(span)) for span in ended]
         if count >= WINDOW:
             first = max(min(ongoing_since - BEFORE_REST, float(file.edges[count - CARRIED])), self._returned_until)
-            self._reducer.forget(int(np.searchsorted(file.edges, first)))
+            self._drop(int(np.searchsorted(file.edges, first)))
         return out

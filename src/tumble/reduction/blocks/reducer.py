@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from types import MappingProxyType
 
 import numpy as np
@@ -161,11 +162,10 @@ class Reduction:
 
         Rows are held if hardly any channel repeats without all the others, or if channels that repeat independently in
         a `held_share` of the log would rarely do so together."""
-        channels = self.accel_channels + self.gyro_channels
-        samples, fewest = channels[0].samples, min(channel.repeats for channel in channels)
-        share, chance = self._repeats_by_chance
+        samples = self.accel_channels[0].samples
+        fewest = min(channel.repeats for channel in self.accel_channels + self.gyro_channels)
         together = self.repeated_rows >= 0.8 * fewest and fewest <= 0.7 * samples
-        return self.repeated_rows if together or self.repeated_rows > 3.0 * share * chance + 3.0 else 0
+        return self.repeated_rows if together or self.repeated_rows > 3.0 * self._runs_by_chance(1) + 3.0 else 0
 
     @property
     def held_runs(self) -> tuple[Gap, ...]:
@@ -174,45 +174,18 @@ class Reduction:
         None if many rows repeat: then rounding hides the noise of a device at rest, or each sample is logged often."""
         if self.repeated_rows > MOST_HELD * self.accel_channels[0].samples:
             return ()
-        share, chance = self._repeats_by_chance
-        return tuple(gap for gap in self.runs if share * chance**gap.samples < HELD_BY_CHANCE)
+        return tuple(gap for gap in self.runs if self._runs_by_chance(gap.samples) < HELD_BY_CHANCE)
 
-    @property
-    def _repeats_by_chance(self) -> tuple[float, float]:
-        """Number of samples at rest, a `held_share` of the log, and probability that all channels repeat in one."""
+    def _runs_by_chance(self, length: int) -> float:
+        """Return the expected number of runs of rows that repeat, at rest, if channels repeat independently."""
+        at_rest = self.tuning.held_share * self.accel_channels[0].samples
         channels = self.accel_channels + self.gyro_channels
-        share = self.tuning.held_share * channels[0].samples
-        return share, float(np.prod([min(1.0, channel.repeats / max(share, 1.0)) for channel in channels]))
-
-
-class _Growing:
-    """An array to which rows are added; views that were given out stay as they are."""
-
-    def __init__(self, width: int) -> None:
-        self._values = np.empty((256, width))
-        self._count = 0
-
-    def add(self, rows: Array) -> None:
-        stop = self._count + len(rows)
-        if stop > len(self._values):
-            larger = np.empty((max(stop, 2 * len(self._values)), self._values.shape[1]))
-            larger[: self._count] = self._values[: self._count]
-            self._values = larger
-        self._values[self._count : stop] = rows
-        self._count = stop
-
-    def forget(self, count: int) -> None:
-        """Drop the first `count` rows."""
-        self._values = self._values[count:].copy()
-        self._count -= count
-
-    @property
-    def rows(self) -> Array:
-        return self._values[: self._count]
+        shares = [min(1.0, channel.repeats / max(at_rest, 1.0)) for channel in channels]
+        return float(at_rest * np.prod(shares) ** length)
 
 
 class _Channels:
-    """Running block sums and channel states of one kind of sensor.
+    """Running block sums and channel states of the n sensors of one kind.
 
     Samples that came as increments have the weight of their intervals in a mean, samples that came as rates equal
     weights, whatever their time stamps."""
@@ -224,30 +197,23 @@ class _Channels:
 
     def begin_file(self) -> None:
         self.sums, self.filled = np.zeros(len(self.state)), np.zeros(1, dtype=np.int64)
-        self.means, self.weights, self.ends = _Growing(len(self.state)), _Growing(1), _Growing(len(self.state))
 
-    def feed(self, samples: Array | None, time: Array, dt: Array, ends: IntArray, seconds: Array) -> None:
-        """Add samples (m, n), of which those at `ends` (k,) complete blocks of `seconds` (k,)."""
-        values = samples if len(self.state) and samples is not None else np.empty((len(dt), 0))
-        weight = dt if self.increments else np.broadcast_to(1.0, len(dt))
+    def feed(self, samples: Array | None, chunk: Chunk, ends: IntArray, seconds: Array) -> tuple[Array, Array, Array]:
+        """Add samples (m, n), of which those at `ends` (k,) complete blocks of `seconds` (k,). Return the means of
+        these blocks (k, n), their last samples (k, n), and their weights (k, 1)."""
+        values = samples if len(self.state) and samples is not None else np.empty((len(chunk.dt), 0))
+        weight = chunk.dt if self.increments else np.broadcast_to(1.0, len(chunk.dt))
         out = np.empty((len(ends), len(self.sums)))
-        _kernels.block_sums(values, time, weight, self.size, self.sums, self.filled, self.state, out)
-        weights = seconds if self.increments else np.full(len(ends), float(self.size))
-        self.means.add(out / weights[:, None])
-        self.weights.add(weights[:, None])
-        self.ends.add(values[ends])
+        _kernels.block_sums(values, chunk.time, weight, self.size, self.sums, self.filled, self.state, out)
+        weights = seconds[:, None] if self.increments else np.full((len(ends), 1), float(self.size))
+        return out / weights, values[ends], weights
 
-    def forget(self, blocks: int) -> None:
-        """Drop the first blocks of the file."""
-        for rows in (self.means, self.weights, self.ends):
-            rows.forget(blocks)
-
-    def series(self, seconds: float) -> ChannelSeries:
+    def series(self, seconds: float, means: Array, ends: Array, weights: Array) -> ChannelSeries:
         """Return the channels over the blocks of the file; the tail after the last block covers `seconds`."""
         return ChannelSeries(
-            means=self.means.rows,
-            ends=self.ends.rows,
-            weights=self.weights.rows[:, 0],
+            means=means,
+            ends=ends,
+            weights=weights[:, 0],
             tail_total=self.sums.copy(),
             tail_weight=seconds if self.increments else float(self.filled[0]),
         )
@@ -273,22 +239,20 @@ class Reducer:
         magnetometer: bool = False,
         clock_rate: float = 1.0,
     ) -> None:
-        self.rate, self.accel, self.gyro, self.clock_rate = rate, accel, gyro, clock_rate
+        self.rate, self.clock_rate = rate, clock_rate
         self.size = max(1, int(BLOCK_SECONDS * rate * (1.0 + 1e-9)))
+        sensors = {"accel": accel.size, "gyro": gyro.size if gyro else 0, "magnetometer": 3 if magnetometer else 0}
         self._channels = {
-            "accel": _Channels(accel.size, self.size, increments=increments.get("accel", False)),
-            "gyro": _Channels(gyro.size if gyro else 0, self.size, increments=increments.get("gyro", False)),
-            "magnetometer": _Channels(3 if magnetometer else 0, self.size, increments=False),
+            kind: _Channels(n, self.size, increments=increments.get(kind, False)) for kind, n in sensors.items()
         }
         self._files: list[FileBlocks] = []
-        self._file, self._first, self._count, self._stop = -1, 0, 0, 0.0
-        self._edges, self._temperature = _Growing(1), _Growing(1)
-        self._uncovered: dict[int, float] = {}
+        self._file, self._first, self._count = -1, 0, 0
+        self._edge, self._stop, self._uncovered = 0.0, 0.0, 0.0
+        self._blocks, self._columns = list[Array](), np.zeros(0, dtype=np.int64)  # tables of blocks, and their parts
         is_array = gyro is not None and accel.size >= FEWEST
-        self._null_spaces = (left_null_space(accel.axes), left_null_space(gyro.axes)) if gyro and is_array else None
-        self._to_body = [_to_body(block) for block in (accel, gyro) if block is not None]
-        n_spare = sum(map(len, self._null_spaces)) if self._null_spaces else 0
-        self._stored = MotionSamples(n_spare) if gyro else None
+        self._null_spaces = [left_null_space(block.axes) for block in (accel, gyro) if block is not None and is_array]
+        self._to_body = [onto_body(block.axes).T for block in (accel, gyro) if block is not None]
+        self._stored = MotionSamples(sum(map(len, self._null_spaces))) if gyro else None
         self._lost = self._repeated = 0
         self._last: tuple[Array, ...] = ()
         self._runs, self._run = list[Gap](), (0, 0.0)  # of repeated rows; the length and start, s, of the present one
@@ -296,40 +260,28 @@ class Reducer:
     def feed(self, chunk: Chunk) -> None:
         """Add the next samples of the log."""
         if chunk.file != self._file:
-            if self._file >= 0:
-                self._files.append(self._blocks())
-            for channels in self._channels.values():
-                channels.begin_file()
-            self._file, self._first, self._count = chunk.file, self._first + self._count, 0
-            self._edges, self._last, self._uncovered, self._run = _Growing(1), (), {}, (0, 0.0)
-            self._temperature = _Growing(1 if chunk.temperature is None else chunk.temperature.shape[1])
-            self._edges.add(np.array([[chunk.time[0] - chunk.dt[0]]]))
-        # the time, s, in each block that no sample covers
-        uncovered = chunk.time - chunk.dt
-        uncovered[0] -= self._stop if self._count else float(chunk.time[0] - chunk.dt[0])
-        uncovered[1:] -= chunk.time[:-1]
-        for i in np.flatnonzero(uncovered > GAP_INTERVALS / self.rate).tolist():
-            block = (self._count + i) // self.size
-            self._uncovered[block] = self._uncovered.get(block, 0.0) + float(uncovered[i])
+            self._begin_file(chunk)
+        # the time, s, in each block that no sample covers; the last block is under way
+        uncovered = chunk.time - chunk.dt - np.append(self._stop, chunk.time[:-1])
+        uncovered[uncovered <= GAP_INTERVALS / self.rate] = 0.0
+        block = (self._count % self.size + np.arange(len(uncovered))) // self.size
         ends = np.arange(self.size - 1 - self._count % self.size, len(chunk.time), self.size)
-        before = len(self._edges.rows)
-        self._edges.add(chunk.time[ends, None])
-        seconds = self._covered(before - 1, self._edges.rows[before - 1 :, 0])
-        for kind, channels in self._channels.items():
-            channels.feed(getattr(chunk, kind), chunk.time, chunk.dt, ends, seconds)
-        if self._stored is not None and self.gyro is not None and chunk.gyro is not None:
-            spare = None
-            if self._null_spaces is not None:  # components of an array's readings that no force or rate explains
-                pairs = zip((chunk.accel, chunk.gyro), self._null_spaces, strict=True)
-                spare = np.hstack([v @ null_space.T for v, null_space in pairs])
-            forces, rates = (
-                v if to is None else v @ to for v, to in zip((chunk.accel, chunk.gyro), self._to_body, strict=True)
-            )
-            self._stored.append(rates, forces, chunk.dt, spare)
-        if chunk.temperature is not None:
-            self._temperature.add(chunk.temperature[ends])
-        # rows that are equal to the row before; the first row of a file has none before it
+        uncovered = np.bincount(block, uncovered, minlength=len(ends) + 1)
+        uncovered[0] += self._uncovered
+        edges = np.append(self._edge, chunk.time[ends])
+        seconds = self.clock_rate * np.diff(edges) - uncovered[: len(ends)]
+        self._edge, self._uncovered = float(edges[-1]), float(uncovered[len(ends)])
+        by_kind = [x.feed(getattr(chunk, kind), chunk, ends, seconds) for kind, x in self._channels.items()]
+        kelvin = np.empty((len(ends), 0)) if chunk.temperature is None else chunk.temperature[ends]
+        if len(ends):
+            self._blocks.append(np.hstack([edges[1:, None], kelvin, *chain.from_iterable(by_kind)]))
         readings = (chunk.accel,) if chunk.gyro is None else (chunk.accel, chunk.gyro)
+        if self._stored is not None and chunk.gyro is not None:
+            # components of an array's readings that no force or rate explains
+            spare = [v @ null_space.T for v, null_space in zip(readings, self._null_spaces, strict=False)]
+            forces, rates = (v @ to_body for v, to_body in zip(readings, self._to_body, strict=True))
+            self._stored.append(rates, forces, chunk.dt, np.hstack(spare) if spare else None)
+        # rows that are equal to the row before; the first row of a file has none before it
         repeats = np.zeros(len(chunk.time), dtype=bool)
         if self._last:
             repeats[0] = all(np.array_equal(v[0], last) for v, last in zip(readings, self._last, strict=True))
@@ -344,6 +296,21 @@ class Reducer:
         self._lost += int(np.round(late * self.rate).sum()) - len(late)
         self._count += len(chunk.time)
         self._stop = float(chunk.time[-1])
+
+    def _begin_file(self, chunk: Chunk) -> None:
+        """Begin the file of a chunk. The first row of its table is that before the first block."""
+        if self._file >= 0:
+            self._files.append(self._file_so_far())
+        for channels in self._channels.values():
+            channels.begin_file()
+        self._file, self._first, self._count = chunk.file, self._first + self._count, 0
+        self._last, self._run = (), (0, 0.0)
+        self._edge = self._stop = float(chunk.time[0] - chunk.dt[0])
+        self._uncovered, n_thermometers = 0.0, 0 if chunk.temperature is None else chunk.temperature.shape[1]
+        sensors = [len(channels.state) for channels in self._channels.values()]
+        widths = 1, n_thermometers, *(width for n in sensors for width in (n, n, 1))
+        self._columns = np.cumsum(widths)
+        self._blocks = [np.append(self._edge, np.zeros(self._columns[-1] - 1))[None]]
 
     def _add_runs(self, chunk: Chunk, repeats: BoolArray) -> None:
         """Add the runs of rows (m,) of a chunk that repeat the row before; one at its end may go on in the next."""
@@ -360,50 +327,31 @@ class Reducer:
                 gap = Gap(file=chunk.file, row=0, time=time, samples=length, what="held samples", why=why)
                 self._runs.append(replace(gap, stop=float(chunk.time[stop]), integrable=False))
 
-    def _covered(self, first: int, edges: Array) -> Array:
-        """Return the time (k,), s, covered by samples in the blocks from `first` on with these edges (k + 1,)."""
-        seconds = self.clock_rate * np.diff(edges)
-        for block, uncovered in self._uncovered.items():
-            if first <= block < first + len(seconds):
-                seconds[block - first] -= uncovered
-        return seconds
-
-    def _blocks(self) -> FileBlocks:
+    def _file_so_far(self) -> FileBlocks:
         """Return the blocks of the present file so far."""
-        edges = self._edges.rows[:, 0]
-        tail_seconds = float(self._covered(len(edges) - 1, np.append(edges[-1:], self._stop))[0])
+        if len(self._blocks) > 1:
+            self._blocks = [np.concatenate(self._blocks)]
+        edges, temperature, *blocks = np.split(self._blocks[0], self._columns[:-1], axis=1)
+        tail_seconds = self.clock_rate * (self._stop - self._edge) - self._uncovered
         return FileBlocks(
             file=self._file,
             first_sample=self._first,
             size=self.size,
-            edges=edges,
-            temperature=self._temperature.rows if len(self._temperature.rows) else None,
-            **{kind: channels.series(tail_seconds) for kind, channels in self._channels.items()},
+            edges=edges[:, 0],
+            temperature=temperature[1:] if temperature.shape[1] else None,
+            **{
+                kind: channels.series(tail_seconds, *(x[1:] for x in blocks[3 * i : 3 * i + 3]))
+                for i, (kind, channels) in enumerate(self._channels.items())
+            },
         )
-
-    def forget(self, blocks: int) -> None:
-        """Drop the first `blocks` blocks of the present file, their samples, and all files before it.
-
-        The other blocks, the channel states, which are those of all samples, and reductions that were given out do not
-        change."""
-        samples = blocks * self.size
-        for channels in self._channels.values():
-            channels.forget(blocks)
-        self._edges.forget(blocks)
-        if len(self._temperature.rows):
-            self._temperature.forget(blocks)
-        self._uncovered = {b - blocks: seconds for b, seconds in self._uncovered.items() if b >= blocks}
-        if self._stored is not None:
-            self._stored = self._stored.since(self._first + samples)
-        self._files, self._first, self._count = [], 0, self._count - samples
 
     def now(self) -> Reduction:
         """Return the reduction of the samples so far, identical to that of a log which ends here.
 
-        No block is copied, and more samples may be added."""
+        More samples may be added. The blocks are copied once if there are new ones."""
         return Reduction(
             rate=self.rate,
-            files=(*self._files, self._blocks()) if self._file >= 0 else (),
+            files=(*self._files, self._file_so_far()) if self._file >= 0 else (),
             accel_channels=self._channels["accel"].states(),
             gyro_channels=self._channels["gyro"].states(),
             samples=self._stored,
@@ -413,12 +361,6 @@ class Reducer:
             runs=tuple(self._runs),
             clock_rate=self.clock_rate,
         )
-
-
-def _to_body(block: Block) -> Array | None:
-    """Return the matrix (n, 3) that takes readings (m, n) to body vectors (m, 3), None if it is the identity."""
-    to_body = np.asarray(onto_body(block.axes).T, dtype=float)
-    return None if np.array_equal(to_body, np.eye(3)) else to_body
 
 
 def reduce_log(

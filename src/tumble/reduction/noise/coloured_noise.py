@@ -15,7 +15,7 @@ Correlation between channels is that of the innovations.
 
 A rest more than LONG_RATIO times as long as most, such as the first one by hand, contains drift that the others are too
 short to show, and that would count as their noise. In the fit of the others it is divided into pieces of their length,
-without those that are significantly noisier; the long rests have a noise that is fitted to them alone.
+of which a noisier one has its own level; the long rests have a noise that is fitted to them alone.
 
 A linear drift does not change the mean of a rest, but would count as noise of so long a memory that averaging does not
 remove it. If the rests bend less than such noise would, the line of each rest is subtracted like its mean.
@@ -89,11 +89,6 @@ def fit_coloured_noise(rests: Sequence[Array]) -> ColouredNoise:
         return _fit(rests)
     ordinary = [i for i, rest in enumerate(rests) if len(rest) <= LONG_RATIO * typical]
     pieces = [piece for i in long for piece in np.array_split(rests[i], math.ceil(len(rests[i]) / typical))]
-    noise = _fit([rests[i] for i in ordinary])
-    centred = _centred([rests[i] for i in ordinary] + pieces, noise.batch)
-    levels = [_levels([x[:, c] for x in centred], a) for c, a in enumerate(noise.autocovariance)]
-    is_louder = np.max(levels, axis=0)[len(ordinary) :] > 1.0
-    pieces = [piece for piece, louder in zip(pieces, is_louder, strict=True) if not louder]
     noise, long_noise = _fit([rests[i] for i in ordinary] + pieces), fit_coloured_noise([rests[i] for i in long])
     level = np.empty((len(rests), rests[0].shape[1]))
     level[ordinary], level[long] = noise.level[: len(ordinary)], long_noise.level
@@ -128,16 +123,13 @@ def _fit(rests: Sequence[Array]) -> ColouredNoise:
         if np.array_equal(levels == 1.0, level == 1.0):
             break
         level = levels
-    innovations = [
-        [np.convolve(x, f, mode="valid") if len(x) >= len(f) else x[:0] for x in of_c]
-        for of_c, f in zip(scaled, filters, strict=True)
-    ]
-    # innovations of filters of different order end together; channels without noise are uncorrelated
-    moments = np.zeros((channels, channels))
-    for of_rest in zip(*innovations, strict=True):
-        shortest = min(len(x) for x in of_rest)
-        stacked = np.array([x[len(x) - shortest :] for x in of_rest])
-        moments += stacked @ stacked.T
+    innovations = np.array(
+        [
+            np.concatenate([x[:0] if len(x) < len(f) else np.convolve(x, f, mode="valid") for x in of_c])
+            for of_c, f in zip(scaled, filters, strict=True)
+        ]
+    )
+    moments = innovations @ innovations.T  # channels without noise are uncorrelated
     scale = np.sqrt(np.diag(moments))
     scale[scale == 0.0] = np.inf
     correlation = np.where(np.eye(channels) > 0, 1.0, moments / np.outer(scale, scale))
@@ -182,8 +174,8 @@ def _is_straight(series: list[Array], autocovariance: Array) -> bool:
     return len(ratio) > 0 and float(np.cbrt(np.mean(ratio))) < 1.0 - sigma**2 - STRAIGHT_SIGMAS * sigma
 
 
-def _fit_channels(channels: list[list[Array]], longest: int, is_sloping: BoolArray) -> tuple[list[Array], Array]:
-    """Return prediction-error filters (1, −a₁, … −a_p) of one order, and autocovariances (c, longest), of channels.
+def _fit_channels(channels: list[list[Array]], longest: int, is_sloping: BoolArray) -> tuple[Array, Array]:
+    """Return prediction-error filters 1, −a₁, … −a_p (c, p + 1), and autocovariances (c, longest), of channels.
 
     The series of a channel are lists by rests, less the mean of each rest, and less its line if `is_sloping`."""
     lengths = np.array([len(x) for x in channels[0]])
@@ -192,7 +184,7 @@ def _fit_channels(channels: list[list[Array]], longest: int, is_sloping: BoolArr
     pairs = np.maximum(lengths - np.arange(order_limit + 1)[:, None], 0)
     raw /= pairs.sum(axis=1)  # another divisor shortens the memory
     noisy = np.flatnonzero(raw[:, 0] > 0.0)
-    filters, autocovariance = [np.array([1.0])] * len(channels), np.zeros((len(channels), longest))
+    filters, autocovariance = np.ones((len(channels), 1)), np.zeros((len(channels), longest))
     distinct, counts = np.unique(lengths[lengths > 0], return_counts=True)
     shares, middle = distinct * counts / total, int(np.median(lengths))
     mean_loss, line_loss = np.zeros(len(channels)), np.zeros(raw.shape)
@@ -208,7 +200,7 @@ def _fit_channels(channels: list[list[Array]], longest: int, is_sloping: BoolArr
         orders = min(len(powers) for _, powers in fits)
         deviance = total * sum(np.log(powers[:orders]) for _, powers in fits)
         best = int(np.argmin(deviance + penalty[:orders]))
-        new_loss = np.zeros(len(channels))
+        new_loss, filters = np.zeros(len(channels)), np.zeros((len(channels), best + 1))
         for c, (order_filters, _) in zip(noisy, fits, strict=True):
             filters[c] = order_filters[best, : best + 1]
             autocovariance[c], autocovariance[c, : best + 1] = 0.0, corrected[c, : best + 1]

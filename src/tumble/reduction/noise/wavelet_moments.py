@@ -171,19 +171,16 @@ class _Moments:
         m_i, m_j = self.pairs
         far = 2.0 * max(self.counts)
         growth = np.concatenate([[0.25, 0.5, 0.75, 1.0, 1.5], 2.0 ** np.arange(1, 1 + np.ceil(np.log2(far)))])
-        grids, dense = [], np.arange(LAG_BY_LAG)
+        grids, each = [], np.arange(LAG_BY_LAG)
         for m, n in np.hstack([m_i, m_j]).tolist():
             kinks = np.unique([a * m - b * n for a in range(3) for b in range(3)])
-            steps = np.concatenate([[1.0], np.round(m * growth[m * growth < far])])
-            edges = np.unique(np.concatenate([kinks, *(kinks + s for s in steps), *(kinks - s for s in steps)]))
-            start, width = edges[:-1], np.diff(edges)
-            narrow, wide = width <= LAG_BY_LAG, width > LAG_BY_LAG
-            single = start[narrow, None] + np.where(dense < width[narrow, None], dense, np.nan)
-            half = 0.5 * width[wide, None]
-            nodes = start[wide, None] - 0.5 + half * (1.0 + _NODES)  # from half a lag before: sums are midpoint rules
-            lag = np.concatenate([single.ravel(), nodes.ravel()])
-            dh = np.concatenate([np.ones(single.size), (half * _WEIGHTS).ravel()])
-            grids.append((lag[np.isfinite(lag)], dh[np.isfinite(lag)]))
+            steps = np.concatenate([[0.0, 1.0], np.round(m * growth[m * growth < far])])
+            edges = np.unique([np.add.outer(kinks, steps), np.subtract.outer(kinks, steps)])
+            start, width = edges[:-1, None], np.diff(edges)[:, None]
+            # nodes from half a lag before the start: sums are midpoint rules
+            lag = np.where(width <= LAG_BY_LAG, start + each, start - 0.5 + 0.5 * width * (1.0 + _NODES))
+            dh = np.where(width <= LAG_BY_LAG, each < width, 0.5 * width * _WEIGHTS)
+            grids.append((lag[dh > 0.0], dh[dh > 0.0]))
         longest = max(len(lag) for lag, _ in grids)
         h, dh = (np.array([np.pad(g[i], (0, longest - len(g[i]))) for g in grids]) for i in (0, 1))
         M = [[np.maximum(count + 1.0 - 2.0 * m, 0.0) for m in self.pairs] for count in self.counts]
@@ -443,32 +440,22 @@ class FilterDensities:
 def filter_densities(panel: Panel, rate: float) -> FilterDensities:
     """Return the white noise and bias random walk that represent the noise of a kind of sensors."""
     high, tau = panel.deviation.high, panel.deviation.tau[:, None]
-    whites = [_white(p, rate) for p in panel.parameters]
-    walks = [_walk(p) for p in panel.parameters]
-    bounds = []
-    for term, values, limits in (
-        ("white noise", whites, (high * np.sqrt(tau)).min(axis=0)),
-        ("random walk", walks, (high * np.sqrt(3.0 / tau)).min(axis=0)),
+    white, walk, bounds = list[float](), list[float](), list[str]()
+    for p in panel.parameters:
+        coefficients = (p.quantisation, p.white_noise, p.bias_instability, p.rate_random_walk)
+        Q, N, B, K = (0.0 if c is None else c.value for c in coefficients)
+        white.append(N**2 + 3.0 * Q**2 * rate)
+        walk.append(K**2 + sum(2.0 * process.sigma.value**2 / process.time.value for process in p.gauss_markov))
+        walk[-1] += 3.0 * (FLICKER * B**2 / N) ** 2 if N else 0.0
+    largest = []
+    for term, squares, limits in (
+        ("white noise", white, (high * np.sqrt(tau)).min(axis=0)),
+        ("random walk", walk, (high * np.sqrt(3.0 / tau)).min(axis=0)),
     ):
-        if 0.0 in values:
-            values[:] = [value or float(limit) for value, limit in zip(values, limits, strict=True)]
+        largest.append(float(np.where(squares, np.sqrt(squares), limits).max()))
+        if 0.0 in squares:
             bounds.append(
                 f"{term} of the {panel.title}: not seen in every channel, so the largest that the record allows is "
                 "written; record longer"
             )
-    return FilterDensities(white=max(whites), walk=max(walks), bounds=tuple(bounds))
-
-
-def _white(p: NoiseParameters, rate: float) -> float:
-    """Return n of a channel, 0 without white noise and quantisation."""
-    N, Q = (0.0 if c is None else c.value for c in (p.white_noise, p.quantisation))
-    return float(np.sqrt(N**2 + 3.0 * Q**2 * rate))
-
-
-def _walk(p: NoiseParameters) -> float:
-    """Return k of a channel, 0 without a slow process."""
-    square = 0.0 if p.rate_random_walk is None else p.rate_random_walk.value**2
-    square += sum(2.0 * process.sigma.value**2 / process.time.value for process in p.gauss_markov)
-    if p.bias_instability is not None and p.white_noise is not None:
-        square += 3.0 * (FLICKER * p.bias_instability.value**2 / p.white_noise.value) ** 2
-    return float(np.sqrt(square))
+    return FilterDensities(white=largest[0], walk=largest[1], bounds=tuple(bounds))

@@ -24,117 +24,90 @@ from tumble.reduction.blocks.tuning import Tuning
 from tumble.units import Array, BoolArray
 
 Span = tuple[int, int]
+OffLevel = dict[Span, Array]
+"""Differences (3,), rad/s, of the gyros from their level at rest in quiet, steady stretches, by first block and end."""
 _G, _G_AND_DRIFT, _STEP, _G_AND_STEP = [0, 1, 2, 3], [0, 1, 2, 3, 4], [0, 5], [0, 1, 2, 3, 5]
 """Columns of b, G, d, s that are fitted together."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class OffLevel:
-    """A quiet, steady stretch, blocks first … last − 1 of the file at `place` in the log, whose gyros differ from their
-    level at rest by `rate` (3,), rad/s."""
-
-    place: int
-    first: int
-    last: int
-    rate: Array
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class LevelFunction:
     """The gyro level as a function of force and time.
 
-    `g_sensitivity`: G (3, 3), rad/s per m/s². `drift`, `step`, `step_at`: d and s (3,), rad/s, and t₀. `accepted`: by
-    file, the stretches whose level follows the function."""
+    `coefficients`: of the regressors (6, 3), that of 1 zero. `step_at`: t₀, infinite without a jump. `accepted`: the
+    stretches whose level follows the function."""
 
-    g_sensitivity: Array
-    drift: Array
-    step: Array
+    coefficients: Array
     step_at: float
-    accepted: list[list[Span]]
+    accepted: list[Span]
 
-    def subtracted_from(self, rates: list[Array], forces: list[Array], times: list[Array]) -> list[Array]:
-        """Return the rates of blocks (K, 3), by file, less the part of the level that changes."""
-        return [
-            w - f @ self.g_sensitivity.T - t[:, None] * self.drift - (t > self.step_at)[:, None] * self.step
-            for w, f, t in zip(rates, forces, times, strict=True)
-        ]
+    def subtracted_from(self, rate: Array, force: Array, time: Array) -> Array:
+        """Return the rates of blocks (K, 3) less the part of the level that changes."""
+        return np.asarray(rate - _regressors(force, time, self.step_at) @ self.coefficients)
+
+
+def _regressors(force: Array, time: Array, step_at: float) -> Array:
+    """Return 1, f, t, and 1 after the jump (N, 6), of which the level is a linear function."""
+    return np.column_stack([np.ones(len(time)), force, time, time > step_at])
 
 
 def level_function(
-    rates: list[Array],
-    forces: list[Array],
-    times: list[Array],
-    rests: list[list[Span]],
-    off: list[OffLevel],
+    rate: Array,
+    force: Array,
+    time: Array,
+    rests: list[Span],
+    off: OffLevel,
     limit: float,
     window: int,
     tuning: Tuning,
 ) -> LevelFunction | None:
     """Fit G, d and s to the gyro levels of rests of at least a window and of stretches off the level.
 
-    `rates`, `forces`, `times`: by file, block means (K, 3) of the rate, rad/s, and of the specific force, m/s², and
-    times (K,), −1 … 1. `rests`: by file. `limit`: largest distance, rad/s, of a level that follows the function.
-    `window`: in blocks. Return None if no function explains the levels of most stretches, or if a constant explains
-    them all."""
-    at_level = [(k, i, j) for k, spans in enumerate(rests) for i, j in spans if j - i >= window]
-    stretches = at_level + [(s.place, s.first, s.last) for s in off]
+    `rate`, `force`, `time`: block means (K, 3) of the rate, rad/s, and of the specific force, m/s², and times (K,),
+    −1 … 1. `limit`: largest distance, rad/s, of a level that follows the function. `window`: in blocks. Return None if
+    no function explains the levels of most stretches, or if a constant explains them all."""
+    at_level = [(i, j) for i, j in rests if j - i >= window]
+    stretches = at_level + list(off)
     if len(stretches) < tuning.level_attitudes:
         return None
-    usual = np.array([*(3 * [tuning.g_sensitivity]), tuning.level_drift, tuning.level_drift]) / limit
-    cores = [(k, *core(i, j, window)) for k, i, j in stretches]
-    level = np.array([rates[k][i:j].mean(axis=0) for k, i, j in cores])
-    at = np.array([times[k][i:j].mean() for k, i, j in cores])
-    rows = np.array(
-        [[1.0, *(usual * [*forces[k][i:j].mean(axis=0), t, 0.0])] for (k, i, j), t in zip(cores, at, strict=True)]
-    )
-    columns, fits, step_at = [0], _fits(rows[:, :1], level, limit), np.inf
-    if fits.all():
-        return None
+    cores = [slice(*core(i, j, window)) for i, j in stretches]
+    level, force, at = (np.array([x[span].mean(axis=0) for span in cores]) for x in (rate, force, time))
+    usual = np.array([limit, *3 * [tuning.g_sensitivity], tuning.level_drift, tuning.level_drift]) / limit
     in_order = np.sort(at)[tuning.beside_jump - 1 : len(at) + 1 - tuning.beside_jump]
     steps = 0.5 * (in_order[1:] + in_order[:-1]) if len(off) >= tuning.beside_jump else ()  # one may be a turn
-    stepless, candidates = fits, [(_G, np.inf), (_G_AND_DRIFT, np.inf)]
-    for trial, step in [*candidates, *((trial, step) for step in steps for trial in (_STEP, _G_AND_STEP))]:
-        rows[:, 5] = usual[4] * (at > step)
-        trial_fits = _fits(rows[:, trial], level, limit)
+    columns, step_at, rows = [0], np.inf, np.ones((len(at), 1))
+    stepless = fits = _fits(rows, level, limit)
+    if fits.all():
+        return None
+    with_step = ((trial, float(step)) for step in steps for trial in (_STEP, _G_AND_STEP))
+    for trial, step in [(_G, np.inf), (_G_AND_DRIFT, np.inf), *with_step]:
+        trial_rows = (usual * _regressors(force, at, step))[:, trial]
+        trial_fits = _fits(trial_rows, level, limit)
         fewest = tuning.level_attitudes if trial == _G else tuning.level_stretches
         share, gain = tuning.level_share * len(level), stepless.sum() + tuning.level_gain * len(level)
         if trial_fits.sum() >= max(fewest, share, gain) and trial_fits.sum() > fits.sum():
-            columns, fits, step_at = trial, trial_fits, step
-            stepless = trial_fits if step == np.inf else stepless
+            columns, step_at, rows, fits = trial, step, trial_rows, trial_fits
+            stepless = fits if step == np.inf else stepless
     if columns == [0]:
         return None
-    rows[:, 5] = usual[4] * (at > step_at)
-    regressors, coefficients = rows[:, columns], np.zeros((6, 3))
-    coefficients[columns] = _least_squares(regressors[fits], level[fits])[0]
-    coefficients[1:] *= usual[:, None]
-    accepted: list[list[Span]] = [[] for _ in rates]
+    accepted = list[Span]()
     is_sparse = len(stretches) < tuning.level_stretches  # each stretch then has a large influence on the fit
-    for n, (k, i, j) in enumerate(stretches):
+    for n, stretch in enumerate(stretches):
         accept = bool(fits[n])
         if accept and (is_sparse or n >= len(at_level)):  # do the others determine its level, and is it there?
             others = fits & (np.arange(len(fits)) != n)
-            predicted, normal = _least_squares(regressors[others], level[others])
-            leverage = float(regressors[n] @ np.linalg.solve(normal, regressors[n]))
-            distance = float(np.linalg.norm(level[n] - regressors[n] @ predicted))
+            predicted, normal = _least_squares(rows[others], level[others])
+            leverage = float(rows[n] @ np.linalg.solve(normal, rows[n]))
+            distance = float(np.linalg.norm(level[n] - rows[n] @ predicted))
             accept = leverage < tuning.level_uncertainty**2 and distance < limit * math.sqrt(1.0 + leverage)
         if accept:
-            accepted[k].append((i, j))
+            accepted.append(stretch)
         elif is_sparse:
             return None
-    return LevelFunction(
-        g_sensitivity=coefficients[1:4].T,
-        drift=coefficients[4],
-        step=coefficients[5],
-        step_at=float(step_at),
-        accepted=accepted,
-    )
-
-
-def times_of(edges: list[Array]) -> list[Array]:
-    """Return, by file, the times of the blocks between these edges, scaled to −1 … 1 over the log."""
-    middle = [0.5 * (e[1:] + e[:-1]) for e in edges]
-    first, last = min(float(t[0]) for t in middle), max(float(t[-1]) for t in middle)
-    return [(2.0 * t - first - last) / max(last - first, 1e-9) for t in middle]
+    coefficients = np.zeros((6, 3))
+    coefficients[columns] = usual[columns, None] * _least_squares(rows[fits], level[fits])[0]
+    coefficients[0] = 0.0
+    return LevelFunction(coefficients=coefficients, step_at=step_at, accepted=accepted)
 
 
 def core(first: int, last: int, window: int) -> Span:

@@ -13,7 +13,7 @@ so that such a rest is not missing from a programme.
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import numpy as np
 
@@ -62,13 +62,9 @@ def match_rests(session: Session, reduction: Reduction, segmentation: Segmentati
     if session.log.gyro is None:
         groups = _groups_by_vertical(expected, verticals)
     else:
-        groups = [[0]]  # rests without a turn between them
-        for i in range(1, len(rests)):
-            turn = _rotation_between(session, reduction, rests[i - 1], rests[i])
-            if turn is not None and float(np.linalg.norm(turn)) < SAME_ATTITUDE:
-                groups[-1].append(i)
-            else:
-                groups.append([i])
+        turns = [_rotation_between(session, reduction, *pair) for pair in pairwise(rests)]
+        is_next = [turn is None or float(np.linalg.norm(turn)) >= SAME_ATTITUDE for turn in turns]
+        groups = [x.tolist() for x in np.split(np.arange(len(rests)), np.flatnonzero(is_next) + 1)]
     first = [group[0] for group in groups]
     _check_order(listed, [rests[i] for i in first], verticals[first], off[:, first], why_missing)
     _check_turns(session, reduction, listed, rests, groups)
@@ -306,7 +302,7 @@ def without_jump(reduction: Reduction, segmentation: Segmentation, gyro: Block |
     if jump is None or gyro is None or not before:
         return reduction
     last, first = rests[before - 1 : before + 1]
-    step, files = gyro.axes @ jump.step, list[FileBlocks]()
+    step, files = gyro.axes @ jump, list[FileBlocks]()
     for file in reduction.files:
         series, since = file.gyro, first.first if file.file == first.file else 0
         if file.file >= first.file:
@@ -317,7 +313,7 @@ def without_jump(reduction: Reduction, segmentation: Segmentation, gyro: Block |
         files.append(replace(file, gyro=series))
     samples, gaps = reduction.samples, reduction.gaps
     if samples is not None:
-        samples = samples.with_rate_subtracted(reduction.by_file[first.file].sample_at(first.first), jump.step)
+        samples = samples.with_rate_subtracted(reduction.by_file[first.file].sample_at(first.first), jump)
     if last.file == first.file:
         gaps = (*gaps, gap_between(last, first, 1, "left out", why=""))
     return replace(reduction, files=tuple(files), samples=samples, gaps=gaps)

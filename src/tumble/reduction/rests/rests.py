@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from tumble.rotation import onto_body, tangent_basis
 from tumble.sensors.model import Block
 from tumble.units import Array, IntArray
 
-ACCEL_FLOOR, GYRO_FLOOR = 1e-9, 1e-11  # m/s², rad/s: smallest standard uncertainty, even in a noise-free simulation
+FLOORS = {"accel": 1e-9, "gyro": 1e-11}  # m/s², rad/s: smallest standard uncertainty, even of a noise-free simulation
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -68,29 +68,23 @@ class Rests:
         """Return rests of one file with mean readings (N, n) in white noise of these densities of accelerometers and
         gyros."""
 
-        def covariance(readings: Array, density: float, floor: float) -> Array:
-            variance = density**2 / (stop - start) + floor**2
-            return np.asarray(variance[:, None, None] * np.eye(readings.shape[1]))
-
-        return Rests(
-            file=np.zeros(len(start), dtype=np.int64),
-            start=start,
-            stop=stop,
-            accel=accel,
-            accel_covariance=covariance(accel, densities[0], ACCEL_FLOOR),
-            accel_drift=np.zeros_like(accel),
-            accel_noise=np.full_like(accel, densities[0]),
-            gyro=gyro,
-            gyro_covariance=covariance(gyro, densities[1], GYRO_FLOOR),
-            gyro_drift=np.zeros_like(gyro),
-            gyro_noise=np.full_like(gyro, densities[1]),
-            temperatures=temperatures,
-        )
+        columns = dict[str, Any]()
+        for kind, readings, density in zip(FLOORS, (accel, gyro), densities, strict=True):
+            variance = density**2 / (stop - start) + FLOORS[kind] ** 2
+            covariance = variance[:, None, None] * np.eye(readings.shape[1])
+            columns |= _columns_of(kind, readings, covariance, np.zeros_like(readings), np.full_like(readings, density))
+        file = np.zeros(len(start), dtype=np.int64)
+        return Rests(file=file, start=start, stop=stop, temperatures=temperatures, **columns)
 
     @property
     def temperature(self) -> Array | None:
         """Mean over the thermometers (N,), K."""
         return None if self.temperatures is None else np.asarray(self.temperatures.mean(axis=1))
+
+
+def _columns_of(kind: str, readings: Array, covariance: Array, change: Array, density: Array) -> dict[str, Array]:
+    """Return the columns of `Rests` for the accelerometers or the gyros."""
+    return {kind: readings, f"{kind}_covariance": covariance, f"{kind}_drift": change, f"{kind}_noise": density}
 
 
 _Arrays = TypeVar("_Arrays", bound=Any)
@@ -104,15 +98,12 @@ def rows_of(record: _Arrays, rows: slice | IntArray) -> _Arrays:
 
 def reduced_rests(
     reduction: Reduction, spans: tuple[Stretch, ...], accel: Block, gyro: Block | None, sway: Sway | None = None
-) -> tuple[Rests, list[Array], ColouredNoise | None, dict[str, Rounding]]:
+) -> tuple[Rests, dict[str, ColouredNoise], dict[str, Rounding]]:
     """Reduce the blocks of at least one rest to means with covariance.
 
-    Besides the rests, return the block means (K, n) of the accelerometers in each of them, m/s², to which their noise
-    was fitted, the noise of the gyros, None without gyros, and the resolution of the readings of "accel" and "gyro"."""
-    by_file, kinds = reduction.by_file, ("accel", "gyro", "magnetometer")
-    pairs = [(by_file[s.file], slice(s.first, s.last)) for s in spans]
-    series = {kind: [getattr(f, kind).means[span] for f, span in pairs] for kind in kinds}
-    mean = {kind: np.array([getattr(f, kind).mean(span.start, span.stop) for f, span in pairs]) for kind in kinds}
+    Besides the rests, return the noise of the block means and the resolution of the readings, of "accel" and "gyro";
+    no noise without gyros."""
+    pairs = [(reduction.by_file[s.file], slice(s.first, s.last)) for s in spans]
     seconds = np.array([s.stop - s.start for s in spans])[:, None]
     kelvin = [f.temperature[span] for f, span in pairs if f.temperature is not None]
     kelvin_at_lag: KelvinAtLag | None = None
@@ -126,54 +117,45 @@ def reduced_rests(
             return read if lag == 0.0 else thermometers.means(file, time, time, lag).kelvin
 
         kelvin_at_lag = warmth
-    rounded: dict[str, Rounding] = {}
-
-    def total_covariance(kind: Literal["accel", "gyro", "magnetometer"], noise: Array, floor: float) -> Array:
-        """Return covariances (N, n, n) of the means from noise and rounding, which is added to `rounded`."""
+    columns, noise, rounded = dict[str, Any](), dict[str, ColouredNoise](), dict[str, Rounding]()
+    for kind, block in (("accel", accel), ("gyro", gyro), ("magnetometer", None)):
+        mean = np.array([getattr(f, kind).mean(span.start, span.stop) for f, span in pairs])
         channels: Sequence[ChannelState] = getattr(reduction, f"{kind}_channels")
+        if not channels:
+            columns |= (
+                {} if kind == "magnetometer" else _columns_of(kind, mean, np.zeros((len(mean), 0, 0)), mean, mean)
+            )
+            continue
+        series = [getattr(f, kind).means[span] for f, span in pairs]
+        quiet = series
+        if kind == "accel" and sway is not None:
+            quiet = [y - force @ accel.axes.T for y, force in zip(series, sway.force, strict=True)]
+        if block is not None:
+            quiet = without_warming(quiet, kelvin_at_lag, block.thermometer)
+        if kind != "accel" or gyro is not None:
+            noise[kind] = fit_coloured_noise(quiet)
+        if kind == "accel":
+            covariance = accel_covariance(quiet, accel)
+        else:
+            covariance = np.array([noise[kind].covariance_of_mean(len(s), i) for i, s in enumerate(series)])
         ends = {f.file: getattr(f, kind).ends for f in reduction.files}
-        whole, in_rests = list(ends.values()), [ends[s.file][s.first : s.last] for s in spans]
-        rounded[kind] = rounding(whole[0] if len(whole) == 1 else np.concatenate(whole), in_rests, channels)
-        return np.asarray(noise + np.diag(floor**2 + rounded[kind].rest_u ** 2))
-
-    def noise_covariance(noise: ColouredNoise, kind: str) -> Array:
-        return np.array([noise.covariance_of_mean(len(s), i) for i, s in enumerate(series[kind])])
-
-    def density(covariance: Array) -> Array:
-        """Return the noise densities (N, n), unit/√Hz, that correspond to covariances of the means."""
-        return np.asarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) * seconds))
-
-    accel_series = series["accel"]
-    if sway is not None:
-        accel_series = [y - force @ accel.axes.T for y, force in zip(accel_series, sway.force, strict=True)]
-    accel_detrended = without_warming(accel_series, kelvin_at_lag, accel.thermometer)
-    accel_total = total_covariance("accel", accel_covariance(accel_detrended, accel), ACCEL_FLOOR)
-    gyro_noise, gyro_total = None, np.empty((len(spans), 0, 0))
-    if gyro is not None:
-        gyro_noise = fit_coloured_noise(without_warming(series["gyro"], kelvin_at_lag, gyro.thermometer))
-        gyro_total = total_covariance("gyro", noise_covariance(gyro_noise, "gyro"), GYRO_FLOOR)
-    field_total = None
-    if reduction.magnetometer_channels:
-        field_noise = fit_coloured_noise(series["magnetometer"])
-        field_total = total_covariance("magnetometer", noise_covariance(field_noise, "magnetometer"), 0.0)
-        del rounded["magnetometer"]
+        in_rests = [ends[s.file][s.first : s.last] for s in spans]
+        rounded[kind] = rounding(np.concatenate([*ends.values()]), in_rests, channels)
+        covariance = covariance + np.diag(FLOORS.get(kind, 0.0) ** 2 + rounded[kind].rest_u ** 2)
+        if kind == "magnetometer":
+            columns |= {kind: mean, f"{kind}_covariance": covariance}
+        else:
+            density = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2) * seconds)
+            columns |= _columns_of(kind, mean, covariance, drift(series), density)
     rests = Rests(
         file=np.array([s.file for s in spans]),
         start=np.array([s.start for s in spans]),
         stop=np.array([s.stop for s in spans]),
-        accel=mean["accel"],
-        accel_covariance=accel_total,
-        accel_drift=drift(series["accel"]),
-        accel_noise=density(accel_total),
-        gyro=mean["gyro"],
-        gyro_covariance=gyro_total,
-        gyro_drift=drift(series["gyro"]),
-        gyro_noise=density(gyro_total),
         temperatures=None if kelvin_at_lag is None else np.array([part.mean(axis=0) for part in kelvin]),
-        magnetometer=None if field_total is None else mean["magnetometer"],
-        magnetometer_covariance=field_total,
+        **columns,
     )
-    return rests, accel_detrended, gyro_noise, rounded
+    rounded.pop("magnetometer", None)
+    return rests, noise, rounded
 
 
 def thermometers_of(reduction: Reduction) -> Thermometers:

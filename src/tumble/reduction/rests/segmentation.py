@@ -37,6 +37,8 @@ which reveals a turn about a nearly vertical axis by its small tilt.
 
 from __future__ import annotations
 
+from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import ClassVar, Literal
@@ -46,21 +48,19 @@ import numpy as np
 from tumble.earth import EARTH_RATE
 from tumble.programme.positions import Programme
 from tumble.recording.rows.gaps import Gap
-from tumble.reduction.blocks.reducer import FileBlocks, Reduction
+from tumble.reduction.blocks.reducer import ChannelState, FileBlocks, Reduction
 from tumble.reduction.blocks.tuning import USUAL, Tuning
-from tumble.reduction.rests.gyro_levels import OffLevel, Span, core, level_function, times_of
+from tumble.reduction.rests.gyro_levels import OffLevel, Span, core, level_function
 from tumble.rotation import onto_body
 from tumble.sensors.model import Block
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
 DENSITY_POINTS = 1000  # points among which the densest is sought
-DENSITY_BATCH = 16  # points whose distances from all others fit into the cache
 ACCEL_ROUNDING = 1e-5  # m/s²: rounding of block means from single-precision increments
 GYRO_ROUNDING = 1e-7  # rad/s: the same
 LONGEST_LIST = 20  # stretches that a message lists one by one
 FEWEST_CHANGES = 24  # independent changes that show how large they usually are
 NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal variable
-EXTENSION_STRIDE = 256  # blocks compared at a time when a stretch is extended
 
 Fails = Literal["duration", "scatter", "vertical", "level"]
 
@@ -121,25 +121,17 @@ def breaking_gap(before: Stretch, after: Stretch, gaps: tuple[Gap, ...]) -> Gap 
     return None
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class LevelJump:
-    """A jump of the gyro level at rest by `step` (3,), rad/s, at `time`, s, of a file, where a rest begins."""
-
-    file: int
-    time: float
-    step: Array
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Segmentation:
     """The rests of a log.
 
     `rests`, `rejected`: the rests, and the quiet stretches that are no rests, in order of time. `rate_limit`,
     `scatter_limit`: limits of motion, for the distance of the rate from its level at rest, rad/s (None without gyros),
-    and for the scatter of the specific force, m/s². `jump`: jump of the gyro level at rest. `stated_rate`: sample rate,
-    Hz, of a log without time stamps, on which durations depend. `tuning`: thresholds of the search. `still_at_end`:
-    whether the device is motionless at the end of the log. `programme`, `position`: the programme to which the rests
-    were matched, and the position index (N,) of each rest in it."""
+    and for the scatter of the specific force, m/s². `jump`: jump of the gyro level at rest (3,), rad/s, if there is
+    one, and `jump_at`: file and start, s, of the rest after it. `stated_rate`: sample rate, Hz, of a log without time
+    stamps, on which durations depend. `tuning`: thresholds of the search. `still_at_end`: whether the device is
+    motionless at the end of the log. `programme`, `position`: the programme to which the rests were matched, and the
+    position index (N,) of each rest in it."""
 
     json_fields: ClassVar = ("scatter_limit", "rate_limit", "rejected")
 
@@ -147,7 +139,8 @@ class Segmentation:
     rejected: tuple[Stretch, ...]
     rate_limit: float | None
     scatter_limit: float
-    jump: LevelJump | None = None
+    jump: Array | None = None
+    jump_at: tuple[int, float] = 0, 0.0
     stated_rate: float | None = None
     tuning: Tuning = USUAL
     still_at_end: bool = False
@@ -164,7 +157,7 @@ class Segmentation:
         """Number of rests before the jump of the gyro level, 0 if no jump lies between two rests."""
         if self.jump is None:
             return 0
-        before = sum((r.file, r.start) < (self.jump.file, self.jump.time) for r in self.rests)
+        before = sum((r.file, r.start) < self.jump_at for r in self.rests)
         return before if before < len(self.rests) else 0
 
     def jumped(self) -> tuple[str, ...]:
@@ -173,7 +166,7 @@ class Segmentation:
         if self.jump is None or not before:
             return ()
         return (
-            f"the level of the gyros at rest jumps by {np.linalg.norm(self.jump.step) / DEGREE:.2g} °/s between rest "
+            f"the level of the gyros at rest jumps by {np.linalg.norm(self.jump) / DEGREE:.2g} °/s between rest "
             f"{before} (to {self.rests[before - 1].stop:z.1f} s) and rest {before + 1} (from "
             f"{self.rests[before].start:z.1f} s) and stays there: a driver that measured the bias anew, or another "
             f"device; calibrate the {before} rests before it and the {len(self.rests) - before} after it as launches "
@@ -191,16 +184,19 @@ class Segmentation:
     def _failing(self, *criteria: Fails) -> tuple[Stretch, ...]:
         return tuple(stretch for stretch in self.rejected if stretch.fails in criteria)
 
+    @property
+    def _too_short(self) -> str:
+        return f"too short: rests of {self.tuning.rest_seconds} s are long enough"
+
     def passed_over(self) -> tuple[str, ...]:
         """Return sentences that count the stretches that were nearly rests, by the criterion that they fail."""
         by = "" if self.stated_rate is None else f", by log.rate_hz = {self.stated_rate:g}, which no time confirms"
-        reasons = {
-            f"too short: rests of {self.tuning.rest_seconds} s are long enough{by}": self._failing("duration"),
-            "discarded because the gyros read otherwise than at rest": self._failing("level"),
-            "shaken: the gyros are at rest, the accelerometers are not; put it where nothing vibrates": self.shaken,
-        }
         sentences = []
-        for why, stretches in reasons.items():
+        for why, stretches in (
+            (self._too_short + by, self._failing("duration")),
+            ("discarded because the gyros read otherwise than at rest", self._failing("level")),
+            ("shaken: the gyros are at rest, the accelerometers are not; put it where nothing vibrates", self.shaken),
+        ):
             if seconds := sorted(r.stop - r.start for r in stretches):
                 similar = seconds[-1] - seconds[0] < 0.05
                 length = f"{seconds[0]:.1f} s" if similar else f"{seconds[0]:.1f}–{seconds[-1]:.1f} s"
@@ -214,7 +210,7 @@ class Segmentation:
             "level": "the accelerometers are quiet, but the gyros read otherwise than at rest",
             "scatter": "the gyros are quiet, but the accelerometers are not",
             "vertical": f"the vertical moves by more than {self.tuning.tilt / DEGREE:g}°",
-            "duration": f"too short: rests of {self.tuning.rest_seconds} s are long enough",
+            "duration": self._too_short,
         }
         sentences = []
         for fails, why in reasons.items():
@@ -252,132 +248,126 @@ def find_rests(reduction: Reduction, accel: Block, gyro: Block | None) -> Segmen
 
 
 class _RestSearch:
-    """The search of a log with one set of thresholds.
+    """The search of a log with one set of thresholds. Blocks are counted through all files.
 
-    `window`: blocks of a window. `forces`, `rates`: by file, block means (K, 3) of the specific force, m/s², and of the
-    rate, rad/s (None without gyros), in the body. `force_step`, `rate_step`: changes of these without motion, by the
+    `edges`: first block of each file, and the number of all K blocks. `window`: blocks of a window. `force`, `rate`:
+    block means (K, 3) of the specific force, m/s², and of the rate, rad/s (None without gyros), in the body. `start`,
+    `stop`: times of the blocks (K,), s. `force_step`, `rate_step`: changes of the means without motion, by the
     resolution of the channels."""
 
     def __init__(self, reduction: Reduction, accel: Block, gyro: Block | None, tuning: Tuning) -> None:
         self.files, self.tuning, self.usual = reduction.files, tuning, reduction.tuning
+        self.edges = np.cumsum([0, *map(len, self.files)]).tolist()
         self.window = max(2, round(tuning.window * reduction.rate / self.files[0].size))
         # column-major: sums over rows of three numbers are slow
-        self.forces = [np.asfortranarray(f.accel.means @ onto_body(accel.axes).T) for f in self.files]
-        self.rates: list[Array] | None = None
+        self.force = np.asfortranarray(np.vstack([f.accel.means for f in self.files]) @ onto_body(accel.axes).T)
+        self.rate: Array | None = None
         if gyro is not None:
-            self.rates = [np.asfortranarray(f.gyro.means @ onto_body(gyro.axes).T) for f in self.files]
-        self.force_step, self.rate_step = (
-            rounding + float(np.linalg.norm([channel.step for channel in channels if np.isfinite(channel.step)]))
-            for rounding, channels in (
-                (ACCEL_ROUNDING, reduction.accel_channels),
-                (GYRO_ROUNDING, reduction.gyro_channels),
-            )
+            self.rate = np.asfortranarray(np.vstack([f.gyro.means for f in self.files]) @ onto_body(gyro.axes).T)
+        self.start, self.stop = (
+            np.concatenate([f.edges[part] for f in self.files]) for part in (slice(-1), slice(1, None))
         )
+        self.force_step = ACCEL_ROUNDING + _resolution(reduction.accel_channels)
+        self.rate_step = GYRO_ROUNDING + _resolution(reduction.gyro_channels)
 
     def run(self) -> Segmentation:
         """Carry out all steps of the module docstring but the fifth, which belongs to `find_rests`."""
-        tuning, window, rates = self.tuning, self.window, self.rates
-        scatter = [_moving_scatter(force, window) for force in self.forces]
-        floor = self._floor(np.concatenate(scatter))
-        factor = tuning.floor_factor if rates is None else tuning.scatter_factor
+        tuning, window, rate = self.tuning, self.window, self.rate
+        _, scatter = _moving(self.force, window, self.edges)
+        floor = self._floor(scatter)
+        factor = tuning.floor_factor if rate is None else tuning.scatter_factor
         scatter_limit = factor * floor + self.force_step
-        is_calm = [s < scatter_limit for s in scatter]
-        if rates is None:
-            steps = []  # of the means from the window before each block to the one after it
-            for force in self.forces:
-                width = min(window, len(force) // 2)
-                mean = sliding_mean(force, width)
-                step = np.linalg.norm(mean[width:] - mean[:-width], axis=1)
-                steps.append(step[np.clip(np.arange(len(force)) - width, 0, len(step) - 1)])
-            step_limit = tuning.floor_factor * self._floor(np.concatenate(steps)) + self.force_step
-            spans = [_runs(calm & (step < step_limit)) for calm, step in zip(is_calm, steps, strict=True)]
-            return self._segmentation(spans, None, scatter_limit, None, [])
-        is_quiet = [s < tuning.quiet_factor * floor + self.force_step for s in scatter]
-        spans, unmoved, rate_limit = self._find_still(rates, is_calm, is_quiet)
-        off = self._find_off_level(rates, is_calm, spans, rate_limit)
+        is_calm = scatter < scatter_limit
+        if rate is None:
+            step = _steps(self.force, window, self.edges)
+            is_still = step < tuning.floor_factor * self._floor(step) + self.force_step
+            return self._segmentation(self._runs(is_calm & is_still), None, scatter_limit, None, [])
+        is_quiet = scatter < tuning.quiet_factor * floor + self.force_step
+        spans, is_still, rate_limit = self._find_still(rate, is_calm, is_quiet)
+        off = self._find_off_level(rate, is_calm, spans, rate_limit)
         # the limit for levels of whole stretches, from the noise within them
-        stretches = [(k, i, j) for k, of_file in enumerate(spans) for i, j in of_file if j - i >= 2 * window]
-        stretches += [(s.place, s.first, s.last) for s in off]
-        noise = [np.sqrt(rates[k][slice(*core(i, j, window))].var(axis=0).sum() / window) for k, i, j in stretches]
+        cores = [slice(*core(i, j, window)) for i, j in (*(s for s in spans if s[1] - s[0] >= 2 * window), *off)]
+        noise = [np.sqrt(rate[span].var(axis=0).sum() / window) for span in cores]
         noise_limit = self._rate_limit(np.array([*noise, 0.0]))
-        times = times_of([f.edges for f in self.files])
-        level = level_function(rates, self.forces, times, spans, off, noise_limit, window, tuning)
+        middle = 0.5 * (self.start + self.stop)
+        time = (2.0 * middle - middle.min() - middle.max()) / max(float(np.ptp(middle)), 1e-9)
+        level = level_function(rate, self.force, time, spans, off, noise_limit, window, tuning)
         if level is not None:
-            rates = level.subtracted_from(rates, self.forces, times)
-            spans, unmoved, rate_limit = self._find_still(rates, is_calm, is_quiet)
-            spans = [_overlapping(new, accepted) for new, accepted in zip(spans, level.accepted, strict=True)]
-            off = self._find_off_level(rates, is_calm, spans, rate_limit)
+            rate = level.subtracted_from(rate, self.force, time)
+            spans, is_still, rate_limit = self._find_still(rate, is_calm, is_quiet)
+            spans = _overlapping(spans, level.accepted)
+            off = self._find_off_level(rate, is_calm, spans, rate_limit)
         rejected = []
-        for s in off:
+        for span, offset in off.items():
             reason = (
-                f"the accelerometers are quiet, but the gyros read {np.linalg.norm(s.rate) / DEGREE:.2g} °/s off "
+                f"the accelerometers are quiet, but the gyros read {np.linalg.norm(offset) / DEGREE:.2g} °/s off "
                 f"their level at rest, more than {rate_limit / DEGREE:.2g} °/s: a slow turn, or a bias that depends on "
                 "attitude"
             )
-            rejected.append(Stretch.of_blocks(self.files[s.place], (s.first, s.last), "level", reason))
-        for f, shaking, of_file, calm in zip(self.files, scatter, unmoved, is_calm, strict=True):
-            for i, j in of_file:
-                if not calm[i:j].any() and f.edges[j] - f.edges[i] >= tuning.rest:
-                    reason = f"accelerometer scatter {shaking[i:j].max():.2g} m/s^2 within a second is above "
-                    rejected.append(Stretch.of_blocks(f, (i, j), "scatter", f"{reason}{scatter_limit:.2g} m/s^2"))
-        whole = self._segmentation(spans, rates, scatter_limit, rate_limit, rejected)
-        if level is None or not np.any(level.step):
-            return whole
-        time = dict(zip((f.file for f in self.files), times, strict=True))
-        later = [r for r in whole.rests if float(time[r.file][(r.first + r.last) // 2]) > level.step_at]
-        if not later:  # all stretches with the other level are too short for a rest
-            return whole
-        return replace(whole, jump=LevelJump(file=later[0].file, time=later[0].start, step=level.step))
+            rejected.append(Stretch.of_blocks(*self._in_file(span), "level", reason))
+        for i, j in self._runs(is_still):
+            if not is_calm[i:j].any() and self._seconds(i, j) >= tuning.rest:
+                reason = f"accelerometer scatter {scatter[i:j].max():.2g} m/s^2 within a second is above "
+                reason += f"{scatter_limit:.2g} m/s^2"
+                rejected.append(Stretch.of_blocks(*self._in_file((i, j)), "scatter", reason))
+        whole = self._segmentation(spans, rate, scatter_limit, rate_limit, rejected)
+        if level is not None and np.isfinite(level.step_at):  # else all stretches with the other level are too short
+            first_block = {f.file: edge for f, edge in zip(self.files, self.edges, strict=False)}
+            for rest in whole.rests:
+                if time[first_block[rest.file] + (rest.first + rest.last) // 2] > level.step_at:
+                    return replace(whole, jump=level.coefficients[5], jump_at=(rest.file, rest.start))
+        return whole
 
-    def _find_still(
-        self, rates: list[Array], is_calm: list[BoolArray], is_quiet: list[BoolArray]
-    ) -> tuple[list[list[Span]], list[list[Span]], float]:
-        """Return by file the spans that are calm and do not turn, those that do not turn, and the rate limit, rad/s."""
-        smooth = [_moving_mean(rate, self.window) for rate in rates]
-        quiet_blocks = np.concatenate(is_quiet)
-        sparse = [s[quiet][:: self.window] for s, quiet in zip(smooth, is_quiet, strict=True)]
-        level = [np.broadcast_to(_densest(np.concatenate(sparse)), s.shape) for s in smooth]
-        spans: list[list[Span]] = [[] for _ in rates]
-        is_still, limit = is_calm, 0.0
+    def _runs(self, flags: BoolArray) -> list[Span]:
+        """Return [first, last) of every run of true values within a file."""
+        return [(a + i, a + j) for a, b in pairwise(self.edges) for i, j in _runs(flags[a:b])]
+
+    def _seconds(self, first: int, last: int) -> float:
+        """Return the duration of blocks first … last − 1 of a file, s."""
+        return float(self.stop[last - 1] - self.start[first])
+
+    def _in_file(self, span: Span) -> tuple[FileBlocks, Span]:
+        """Return the file of a span, and the span in its blocks."""
+        k = bisect_right(self.edges, span[0]) - 1
+        return self.files[k], (span[0] - self.edges[k], span[1] - self.edges[k])
+
+    def _find_still(self, rate: Array, is_calm: BoolArray, is_quiet: BoolArray) -> tuple[list[Span], BoolArray, float]:
+        """Return the spans that are calm and do not turn, the blocks that do not turn, and the rate limit, rad/s."""
+        smooth, _ = _moving(rate, self.window, self.edges)
+        quiet = np.concatenate([a + np.flatnonzero(is_quiet[a:b])[:: self.window] for a, b in pairwise(self.edges)])
+        level = np.broadcast_to(_densest(smooth[quiet]), smooth.shape)
+        spans, is_still, limit = list[Span](), is_calm, 0.0
         for _ in range(5):  # the level follows slow drift from rest to rest
-            distance = [np.linalg.norm(s - at, axis=1) for s, at in zip(smooth, level, strict=True)]
-            limit = self._rate_limit(np.concatenate(distance)[quiet_blocks])
-            is_still = [d < limit for d in distance]
-            previous, spans = spans, [_runs(still & calm) for still, calm in zip(is_still, is_calm, strict=True)]
+            distance = np.linalg.norm(smooth - level, axis=1)
+            limit = self._rate_limit(distance[is_quiet])
+            is_still = distance < limit
+            previous, spans = spans, self._runs(is_still & is_calm)
             if spans == previous:
                 break
-            level = [self._interpolated_level(*each) for each in zip(rates, spans, level, strict=True)]
-        return spans, [_runs(still) for still in is_still], limit
+            level = self._interpolated_level(rate, spans, level)
+        return spans, is_still, limit
 
-    def _find_off_level(
-        self, rates: list[Array], is_calm: list[BoolArray], spans: list[list[Span]], limit: float
-    ) -> list[OffLevel]:
+    def _find_off_level(self, rate: Array, is_calm: BoolArray, spans: list[Span], limit: float) -> OffLevel:
         """Return quiet, steady stretches whose gyros are off the level at rest by `limit` to `level_spread`, and in
         which the vertical moves less than a turn at that rate would move it."""
-        tuning, window = self.tuning, self.window
-        at_rest = [rate[i:j] for rate, of_file in zip(rates, spans, strict=True) for i, j in of_file]
-        if not at_rest:
-            return []
-        default = np.concatenate(at_rest).mean(axis=0)
-        scatter = [_moving_scatter(rate, window) for rate in rates]
-        steady_limit = tuning.scatter_factor * self._floor(np.concatenate(scatter))
-        out = []
-        for k, (f, rate, s, calm, force) in enumerate(
-            zip(self.files, rates, scatter, is_calm, self.forces, strict=True)
-        ):
-            level = self._interpolated_level(rate, spans[k], np.broadcast_to(default, rate.shape))
-            for i, j in _runs(calm & (s < steady_limit)):
-                seconds = float(f.edges[j] - f.edges[i])
-                covered = sum(min(j, b) - max(i, a) for a, b in _overlapping(spans[k], [(i, j)]))
-                if seconds < tuning.rest or j - i < 2 * window or covered > 0.5 * (j - i):
-                    continue
-                offset = rate[slice(*core(i, j, window))].mean(axis=0) - level[(i + j) // 2]
-                first, last = force[i : i + window].mean(axis=0), force[j - window : j].mean(axis=0)
-                moved, size = float(np.linalg.norm(last - first)), float(np.linalg.norm(first))
-                by_turn = float(np.linalg.norm(np.cross(offset, first))) * (seconds - tuning.window)
-                vertical_stays = moved < max(tuning.vertical_moves * by_turn, tuning.vertical_stays * size)
-                if limit < float(np.linalg.norm(offset)) < tuning.level_spread and vertical_stays:
-                    out.append(OffLevel(place=k, first=i, last=j, rate=offset))
+        if not spans:
+            return {}
+        tuning, window, out = self.tuning, self.window, OffLevel()
+        default = np.concatenate([rate[i:j] for i, j in spans]).mean(axis=0)
+        level = self._interpolated_level(rate, spans, np.broadcast_to(default, rate.shape))
+        _, scatter = _moving(rate, window, self.edges)
+        for i, j in self._runs(is_calm & (scatter < tuning.scatter_factor * self._floor(scatter))):
+            seconds = self._seconds(i, j)
+            covered = sum(min(j, b) - max(i, a) for a, b in _overlapping(spans, [(i, j)]))
+            if seconds < tuning.rest or j - i < 2 * window or covered > 0.5 * (j - i):
+                continue
+            offset = rate[slice(*core(i, j, window))].mean(axis=0) - level[(i + j) // 2]
+            first, last = self.force[i : i + window].mean(axis=0), self.force[j - window : j].mean(axis=0)
+            moved, size = float(np.linalg.norm(last - first)), float(np.linalg.norm(first))
+            by_turn = float(np.linalg.norm(np.cross(offset, first))) * (seconds - tuning.window)
+            vertical_stays = moved < max(tuning.vertical_moves * by_turn, tuning.vertical_stays * size)
+            if limit < float(np.linalg.norm(offset)) < tuning.level_spread and vertical_stays:
+                out[i, j] = offset
         return out
 
     def _rate_limit(self, distances: Array) -> float:
@@ -395,54 +385,45 @@ class _RestSearch:
         return floor
 
     def _interpolated_level(self, rate: Array, spans: list[Span], default: Array) -> Array:
-        """Return the gyro level (K, 3) at every block, interpolated between the means of long spans."""
-        long = [(i, j) for i, j in spans if j - i >= self.tuning.level_blocks]
-        if not long:
-            return default
-        centres = np.array([0.5 * (i + j) for i, j in long])
-        means = np.array([rate[i:j].mean(axis=0) for i, j in long])
-        return np.column_stack([np.interp(np.arange(len(rate)), centres, column) for column in means.T])
+        """Return the gyro level (K, 3) at every block, interpolated between the means of long spans of its file."""
+        out = default.copy()
+        for a, b in pairwise(self.edges):
+            long = [(i, j) for i, j in spans if a <= i < b and j - i >= self.tuning.level_blocks]
+            if long:
+                centres, means = [0.5 * (i + j) for i, j in long], np.array([rate[i:j].mean(axis=0) for i, j in long])
+                out[a:b] = np.column_stack([np.interp(np.arange(a, b), centres, column) for column in means.T])
+        return out
 
     def _segmentation(
         self,
-        spans: list[list[Span]],
-        rates: list[Array] | None,
+        spans: list[Span],
+        rate: Array | None,
         scatter_limit: float,
         rate_limit: float | None,
         rejected: list[Stretch],
     ) -> Segmentation:
         """Extend the spans, remove the margins, and keep those that are long enough and do not tilt."""
-        tuning, rests, extended = self.tuning, list[Stretch](), list[list[Span]]()
-        for k, of_file in enumerate(spans):
-            signals = [(self.forces[k], self.force_step)] + ([] if rates is None else [(rates[k], self.rate_step)])
-            merged: list[Span] = []
-            for first, last in sorted(self._extended(signals, i, j) for i, j in of_file):
-                if merged and first < merged[-1][1]:
-                    merged[-1] = merged[-1][0], max(last, merged[-1][1])
-                elif last > first:
-                    merged.append((first, last))
-            extended.append(merged)
-        for f, force, of_file in zip(self.files, self.forces, self._divided_at_steps(extended, rates), strict=True):
-            for first, last in of_file:
-                duration = float(f.edges[last] - f.edges[first])
-                margin = tuning.margin_of(duration)
-                before, after = margin if first > 0 else 0.0, margin if last < len(f) else 0.0
-                rest = Stretch.between(f, f.edges[first] + before, f.edges[last] - after)
-                too_short = duration - before - after < tuning.rest - 1e-9
-                mean = force[first:last].mean(axis=0)
-                off = np.linalg.norm(_moving_mean(force[first:last], self.window) - mean, axis=1).max()
-                tilt = float(off / np.linalg.norm(mean))
-                warming = 0.0 if f.temperature is None else float(np.ptp(f.temperature[first:last], axis=0).max())
-                tilt_limit = tuning.tilt + tuning.tilt_per_kelvin * warming
-                if too_short or rest.last - rest.first < tuning.fewest_blocks:
-                    if duration > 0.5:
-                        rejected.append(Stretch.too_short(f, (first, last), self.usual))
-                elif tilt > tilt_limit:
-                    at_most = f"in a rest at most {tilt_limit / DEGREE:.2g}°"
-                    reason = f"the vertical moves by {tilt / DEGREE:.0f}°, {at_most}"
-                    rejected.append(Stretch.of_blocks(f, (first, last), "vertical", reason))
-                else:
-                    rests.append(replace(rest, reaches_end=f is self.files[-1] and rest.last >= len(f) - 1))
+        tuning, rests = self.tuning, list[Stretch]()
+        for span in self._divided_at_steps(self._extended(spans, rate), rate):
+            (f, (first, last)), force, duration = self._in_file(span), self.force[slice(*span)], self._seconds(*span)
+            margin = tuning.margin_of(duration)
+            before, after = margin if first > 0 else 0.0, margin if last < len(f) else 0.0
+            rest = Stretch.between(f, f.edges[first] + before, f.edges[last] - after)
+            too_short = duration - before - after < tuning.rest - 1e-9
+            mean = force.mean(axis=0)
+            off = np.linalg.norm(_moving(force, self.window, [0, len(force)])[0] - mean, axis=1).max()
+            tilt = float(off / np.linalg.norm(mean))
+            warming = 0.0 if f.temperature is None else float(np.ptp(f.temperature[first:last], axis=0).max())
+            tilt_limit = tuning.tilt + tuning.tilt_per_kelvin * warming
+            if too_short or rest.last - rest.first < tuning.fewest_blocks:
+                if duration > 0.5:
+                    rejected.append(Stretch.too_short(f, (first, last), self.usual))
+            elif tilt > tilt_limit:
+                at_most = f"in a rest at most {tilt_limit / DEGREE:.2g}°"
+                reason = f"the vertical moves by {tilt / DEGREE:.0f}°, {at_most}"
+                rejected.append(Stretch.of_blocks(f, (first, last), "vertical", reason))
+            else:
+                rests.append(replace(rest, reaches_end=f is self.files[-1] and rest.last >= len(f) - 1))
         return Segmentation(
             rests=tuple(rests),
             still_at_end=bool(rests) and rests[-1].reaches_end,
@@ -452,76 +433,61 @@ class _RestSearch:
             tuning=tuning,
         )
 
-    def _divided_at_steps(self, spans: list[list[Span]], rates: list[Array] | None) -> list[list[Span]]:
+    def _extended(self, spans: list[Span], rate: Array | None) -> list[Span]:
+        """Move the ends of spans, blurred by half a window, to where single blocks are more than `edge` standard
+        deviations off the mean of the span, and merge those that overlap."""
+        signals = [(self.force, self.force_step)] + ([] if rate is None else [(rate, self.rate_step)])
+        middles, merged = [0, *((first + last) // 2 for first, last in spans), self.edges[-1]], list[Span]()
+        for (first, last), low, high in zip(spans, middles, middles[2:], strict=False):
+            k = bisect_right(self.edges, first)
+            low, high = max(low, self.edges[k - 1]), min(high, self.edges[k])
+            tenth, half, is_like = (last - first) // 10, min(self.window, last - first) // 2, np.full(high - low, True)
+            for values, rounding in signals:
+                inner = values[first + tenth : last - tenth]
+                beyond = np.linalg.norm(values[low:high] - inner.mean(axis=0), axis=1) - rounding
+                is_like &= beyond <= self.tuning.edge * np.sqrt(inner.var(axis=0).sum())
+            unlike = low + np.flatnonzero(~is_like)
+            start = int(unlike[unlike < first + half].max(initial=low - 1)) + 1
+            stop = int(unlike[unlike >= last - half].min(initial=high))
+            if merged and start < merged[-1][1]:
+                merged[-1] = merged[-1][0], max(stop, merged[-1][1])
+            elif stop > start:
+                merged.append((start, stop))
+        return merged
+
+    def _divided_at_steps(self, spans: list[Span], rate: Array | None) -> list[Span]:
         """Divide spans in which a reading steps to another level, as by a knock or a jump of a bias (step 7)."""
-        values = self.forces if rates is None else [np.hstack(pair) for pair in zip(self.forces, rates, strict=True)]
-        resolution = np.repeat([self.force_step, self.rate_step], 3)[: values[0].shape[1]]
+        readings = self.force if rate is None else np.hstack([self.force, rate])
+        resolution = np.repeat([self.force_step, self.rate_step], 3)[: readings.shape[1]]
         blurred = self.window // 2  # blocks at either end of a span that may belong to a turn
-        inner = {
-            (file, first, last): values[file][first + blurred : last - blurred]
-            for file, of_file in enumerate(spans)
-            for first, last in of_file
-        }
-        side = max(self.window, int(np.median([len(readings) for readings in inner.values()] or [0])) // 8)
-        inner = {span: readings for span, readings in inner.items() if len(readings) >= 6 * side}
+        inner = {(first, last): readings[first + blurred : last - blurred] for first, last in spans}
+        side = max(self.window, int(np.median([len(part) for part in inner.values()] or [0])) // 8)
+        inner = {span: part for span, part in inner.items() if len(part) >= 6 * side}
         if sum(map(len, inner.values())) < FEWEST_CHANGES * side:
             return spans
-
-        def changes(readings: Array) -> Array:
-            """Return the means over `side` blocks less those over `side` before them (m, c)."""
-            total = np.cumsum(np.vstack([readings[:1], readings]) - readings[0], axis=0)
-            return np.asarray(total[2 * side :] - 2.0 * total[side:-side] + total[: -2 * side]) / side
-
-        changes_of = {span: changes(readings) for span, readings in inner.items()}
-        usual = np.median(np.abs(np.concatenate([*changes_of.values()])), axis=0)
-
-        def step_in(readings: Array, change: Array) -> int | None:
-            """Return the block at which one of the readings (m, c) steps to another level, None if none does."""
-            beyond = (np.abs(change) - resolution) / np.maximum(usual, 1e-300)
-            row, c = np.unravel_index(np.argmax(beyond), beyond.shape)
-            step, at, reading = change[row, c], side + int(row), readings[:, [c]]
-            without_step = changes(reading - step * (np.arange(len(reading))[:, None] >= at))
-            sigma = max(usual[c], float(np.median(np.abs(without_step)))) / NORMAL_MEDIAN
-            if abs(step) - resolution[c] <= self.tuning.step_beyond * sigma:
-                return None
-            third = max(side // 3, 1)
-            near = reading[at : at + third].mean() - reading[at - third : at].mean()
-            whole = reading[at:].mean() - reading[:at].mean()
-            return at if near / step > 0.5 and 0.5 < whole / step < 2.0 else None
-
-        divided = [list[Span]() for _ in spans]
-        for file, of_file in enumerate(spans):
-            for first, last in of_file:
-                span = file, first, last
-                at = step_in(inner[span], changes_of[span]) if span in inner else None
-                ends = [first, last] if at is None else [first, first + blurred + at, last]
-                divided[file] += pairwise(ends)
+        usual = np.median(np.abs(np.concatenate([_changes(part, side) for part in inner.values()])), axis=0)
+        divided = list[Span]()
+        for first, last in spans:
+            part = inner.get((first, last))
+            at = None if part is None else self._step_in(part, side, usual, resolution)
+            divided += pairwise([first, last] if at is None else [first, first + blurred + at, last])
         return divided
 
-    def _extended(self, signals: list[tuple[Array, float]], first: int, last: int) -> Span:
-        """Move the ends of a span, blurred by half a window, to where single blocks are more than `edge` standard
-        deviations off its mean."""
-        tenth = (last - first) // 10
-        cores = [values[first + tenth : last - tenth] for values, _ in signals]
-        means, sigmas = [core.mean(axis=0) for core in cores], [np.sqrt(core.var(axis=0).sum()) for core in cores]
+    def _step_in(self, readings: Array, side: int, usual: Array, resolution: Array) -> int | None:
+        """Return the block at which one of the readings (m, c) steps to another level, None if none does.
 
-        def end(block: int, way: int) -> int:
-            """Return the first block unlike the span, backwards (way = −1) or forwards (1) from one within it."""
-            while True:
-                edge = max(0, block + way * EXTENSION_STRIDE)
-                rows = slice(min(edge, block), max(edge, block))
-                within = [
-                    np.linalg.norm(values[rows] - mean, axis=1) <= self.tuning.edge * sigma + rounding
-                    for (values, rounding), mean, sigma in zip(signals, means, sigmas, strict=True)
-                ]
-                inside = np.logical_and.reduce(within)[::way]
-                n_inside = len(inside) if inside.all() else int(np.argmin(inside))
-                block += way * n_inside
-                if n_inside < EXTENSION_STRIDE:
-                    return block
-
-        half = min(self.window, last - first) // 2
-        return end(first + half, -1), end(last - half, 1)
+        `usual`: median sizes (c,) of the changes over `side` blocks in all rests."""
+        change = _changes(readings, side)
+        beyond = (np.abs(change) - resolution) / np.maximum(usual, 1e-300)
+        row, c = np.unravel_index(np.argmax(beyond), beyond.shape)
+        step, at, reading = change[row, c], side + int(row), readings[:, [c]]
+        without_step = _changes(reading - step * (np.arange(len(reading))[:, None] >= at), side)
+        sigma = max(usual[c], float(np.median(np.abs(without_step)))) / NORMAL_MEDIAN
+        third = max(side // 3, 1)
+        near = reading[at : at + third].mean() - reading[at - third : at].mean()
+        whole = reading[at:].mean() - reading[:at].mean()
+        is_large = abs(step) - resolution[c] > self.tuning.step_beyond * sigma
+        return at if is_large and near / step > 0.5 and 0.5 < whole / step < 2.0 else None
 
 
 def _overlapping(spans: list[Span], others: list[Span]) -> list[Span]:
@@ -529,17 +495,40 @@ def _overlapping(spans: list[Span], others: list[Span]) -> list[Span]:
     return [(i, j) for i, j in spans if any(i < b and a < j for a, b in others)]
 
 
-def _moving_mean(values: Array, window: int) -> Array:
-    """Return the mean over `window` rows about each row, at the ends over the first and the last `window` rows."""
-    window = min(window, len(values))
-    return sliding_mean(values, window)[_window_of_row(len(values), window)]
+def _resolution(channels: Sequence[ChannelState]) -> float:
+    """Return the change of a vector by one step of all its channels."""
+    return float(np.linalg.norm([channel.step for channel in channels if np.isfinite(channel.step)]))
 
 
-def _moving_scatter(values: Array, window: int) -> Array:
-    """Return the root of the summed variances of the columns over the same windows."""
+def _moving(values: Array, window: int, edges: Sequence[int]) -> tuple[Array, Array]:
+    """Return the mean (K, n) over `window` rows about each row, at the ends over the first and the last `window` rows,
+    and the root of the summed variances of the columns (K,) over the same rows; `edges` as in `_RestSearch`."""
     window = min(window, len(values))
-    variance = sliding_variance(values, sliding_mean(values, window), window).sum(axis=1)
-    return np.asarray(np.sqrt(variance)[_window_of_row(len(values), window)])
+    mean = sliding_mean(values, window)
+    scatter = np.sqrt(sliding_variance(values, mean, window).sum(axis=1))
+    about = _rows_about(edges, window // 2, window)
+    return mean[about], scatter[about]
+
+
+def _steps(values: Array, window: int, edges: Sequence[int]) -> Array:
+    """Return the size (K,) of the change of the mean from the `window` rows before each row to those after it."""
+    width = min(window, len(values) // 2)
+    mean = sliding_mean(values, width)
+    step = np.linalg.norm(mean[width:] - mean[:-width], axis=1)
+    return np.asarray(step[_rows_about(edges, width, 2 * width)])
+
+
+def _rows_about(edges: Sequence[int], before: int, size: int) -> IntArray:
+    """Return the first of `size` rows about each row (K,), of which `before` are before it, within its file if that is
+    long enough."""
+    rows = [np.clip(np.arange(a, b) - before, a, max(b - size, a)) for a, b in pairwise(edges)]
+    return np.minimum(np.concatenate(rows), edges[-1] - size)
+
+
+def _changes(values: Array, side: int) -> Array:
+    """Return the means over `side` rows less those over `side` rows before them (m, c)."""
+    total = np.cumsum(np.vstack([values[:1], values]) - values[0], axis=0)
+    return np.asarray(total[2 * side :] - 2.0 * total[side:-side] + total[: -2 * side]) / side
 
 
 def sliding_mean(values: Array, window: int) -> Array:
@@ -558,20 +547,12 @@ def sliding_variance(values: Array, mean: Array, window: int) -> Array:
     return out / window
 
 
-def _window_of_row(rows: int, window: int) -> IntArray:
-    """Return the first row of the window about each row."""
-    return np.clip(np.arange(rows) - window // 2, 0, rows - window)
-
-
 def _densest(points: Array) -> Array:
     """Return the point with the nearest neighbours among at most DENSITY_POINTS evenly spread ones."""
     points = points[:: -(-len(points) // DENSITY_POINTS)]
-    neighbour, nearest = min(len(points) - 1, max(3, len(points) // 20)), []
-    for i in range(0, len(points), DENSITY_BATCH):
-        batch = points[i : i + DENSITY_BATCH]
-        squares = sum((mine[:, None] - column) ** 2 for mine, column in zip(batch.T, points.T, strict=True))
-        nearest.append(np.partition(squares, neighbour, axis=1)[:, neighbour])
-    return np.asarray(points[np.argmin(np.concatenate(nearest))])
+    neighbour = min(len(points) - 1, max(3, len(points) // 20))
+    squares = sum(np.subtract.outer(column, column) ** 2 for column in points.T)
+    return np.asarray(points[np.argmin(np.partition(squares, neighbour, axis=1)[:, neighbour])])
 
 
 def _runs(flags: BoolArray) -> list[Span]:

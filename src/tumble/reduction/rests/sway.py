@@ -52,68 +52,24 @@ class Sway:
     density: Array
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _Motion:
-    """Motion of a body in a rest.
-
-    `up`, `size`: direction (3,) of the mean specific force in the body, and its magnitude, m/s². `path`,
-    `acceleration`, `force`: means of the K blocks (K, 3) of the angle about the mean attitude, rad, the angular
-    acceleration, rad/s², and the specific force, m/s². `angle`, `tilt`: variances of the angle per axis, and of the
-    angle about both horizontal axes, rad². `density`: of the gyro noise (3,), rad²/s."""
-
-    up: Array
-    size: float
-    path: Array
-    acceleration: Array
-    force: Array
-    angle: float
-    tilt: float
-    density: Array
-
-    @staticmethod
-    def of(samples: MotionSamples, f: FileBlocks, first: int, last: int) -> _Motion:
-        """Return the motion in blocks first … last − 1 of a file."""
-        rate, force, dt = samples.read(f.sample_at(first), f.sample_at(last))
-        path = np.cumsum((rate - rate.mean(axis=0)) * dt[:, None], axis=0)
-        path -= path.mean(axis=0)
-        squares, mean = path.T @ path / len(path), force.mean(axis=0)
-        up, fourth = unit_vector(mean), np.diff(rate * dt[:, None], n=4, axis=0)
-        padded = np.concatenate([2.0 * rate[:1] - rate[1:2], rate, 2.0 * rate[-1:] - rate[-2:-1]])
-        return _Motion(
-            up=up,
-            size=float(np.linalg.norm(mean)),
-            path=path.reshape(-1, f.size, 3).mean(axis=1),
-            acceleration=0.5 * np.diff(padded[: -1 : f.size] + padded[1 :: f.size], axis=0) / (f.size * dt.mean()),
-            force=force.reshape(-1, f.size, 3).mean(axis=1),
-            angle=float(np.trace(squares)) / 3.0,
-            tilt=float(np.trace(squares) - up @ squares @ up),
-            density=(fourth**2).sum(axis=0) / (FOURTH_DIFFERENCES * dt[4:].sum()),
-        )
-
-    @property
-    def columns(self) -> Array:
-        """Regressors û × α and ω̇ × e_j of the forces across the vertical (s, STRETCH, 3, 4)."""
-        levers = skew(self.acceleration)
-        levers = levers - self.up[:, None] * (self.up @ levers)[:, None]
-        return _detrended(np.concatenate([np.cross(self.up, self.path)[..., None], levers], axis=2))
-
-    @property
-    def across(self) -> Array:
-        """Forces across the vertical (s, STRETCH, 3)."""
-        return _detrended((self.force - (self.force @ self.up)[:, None] * self.up)[..., None])[..., 0]
-
-
 def sway_of(reduction: Reduction, spans: Sequence[Stretch]) -> Sway | None:
     """Return the sway of a device in its rests, None if it lies still, if gyro noise hides its sway, and without
     gyros."""
     if reduction.samples is None:
         return None
     files, samples = [reduction.by_file[span.file] for span in spans], reduction.samples
-    ends = [(span.first, span.last) for span in spans]
-    motions = [
-        _Motion.of(samples, f, first, min(last, first + LONGEST)) for f, (first, last) in zip(files, ends, strict=True)
-    ]
-    p, δ = np.concatenate([m.columns for m in motions]), np.concatenate([m.across for m in motions])
+    ends, columns, across, densities = [(span.first, span.last) for span in spans], [], [], []
+    for f, (first, last) in zip(files, ends, strict=True):
+        rate, force, dt, path = _motion(samples, f, first, min(last, first + LONGEST))
+        up, fourth = unit_vector(force.mean(axis=0)), np.diff(rate * dt[:, None], n=4, axis=0)
+        densities.append((fourth**2).sum(axis=0) / (FOURTH_DIFFERENCES * dt[4:].sum()))
+        padded = np.concatenate([2.0 * rate[:1] - rate[1:2], rate, 2.0 * rate[-1:] - rate[-2:-1]])
+        acceleration = 0.5 * np.diff(padded[: -1 : f.size] + padded[1 :: f.size], axis=0) / (f.size * dt.mean())
+        level = np.eye(3) - np.outer(up, up)
+        by_levers = level @ skew(acceleration)
+        columns.append(_detrended(np.concatenate([np.cross(up, _means(path, f))[..., None], by_levers], axis=2)))
+        across.append(_detrended((_means(force, f) @ level)[..., None])[..., 0])
+    p, δ = np.concatenate(columns), np.concatenate(across)
     s, size = np.einsum("ikcj,ikc->ij", p, δ), np.sqrt((p**2).sum(axis=(0, 1, 2)))
     if not (len(s) and size.all() and np.isfinite(s).all() and np.isfinite(size).all()):
         return None  # too short, or damaged
@@ -124,16 +80,36 @@ def sway_of(reduction: Reduction, spans: Sequence[Stretch]) -> Sway | None:
         return None
     # variance of the tilt that both kinds of sensors show, and that of the integrated gyro noise in the median rest
     explained = float(t @ np.linalg.lstsq(normal, t, rcond=SINGULAR)[0] / (δ**2).sum()) * size[0] ** 2 / (δ.size / 3)
-    density, longest = np.median([m.density for m in motions], axis=0), np.median([r.stop - r.start for r in spans])
+    density, longest = np.median(densities, axis=0), np.median([r.stop - r.start for r in spans])
     if 0.5 * explained <= density.mean() * longest / 3.0:
         return None
-    whole = [_Motion.of(samples, f, *blocks) for f, blocks in zip(files, ends, strict=True)]
+    angles, shortened, effects = [], [], []
+    for f, (first, last) in zip(files, ends, strict=True):
+        _, force, _, path = _motion(samples, f, first, last)
+        squares, mean = path.T @ path / len(path), force.mean(axis=0)
+        up = unit_vector(mean)
+        angles.append(np.trace(squares) / 3.0)
+        shortened.append(0.5 * (np.trace(squares) - up @ squares @ up))
+        effects.append(np.cross(mean, _means(path, f)))
     return Sway(
-        angle=float(np.sqrt(np.median([motion.angle for motion in whole]))),
-        shortened=0.5 * np.array([motion.tilt for motion in whole]),
-        force=tuple(motion.size * np.cross(motion.up, motion.path) for motion in whole),
+        angle=float(np.sqrt(np.median(angles))),
+        shortened=np.array(shortened),
+        force=tuple(effects),
         density=np.diag(density),
     )
+
+
+def _motion(samples: MotionSamples, f: FileBlocks, first: int, last: int) -> tuple[Array, Array, Array, Array]:
+    """Return rates (m, 3), forces (m, 3), intervals (m,), and angles about the mean attitude (m, 3), rad, of the
+    samples of blocks first … last − 1 of a file."""
+    rate, force, dt = samples.read(f.sample_at(first), f.sample_at(last))
+    path = np.cumsum((rate - rate.mean(axis=0)) * dt[:, None], axis=0)
+    return rate, force, dt, path - path.mean(axis=0)
+
+
+def _means(values: Array, f: FileBlocks) -> Array:
+    """Return the block means (K, 3) of samples (m, 3)."""
+    return np.asarray(values.reshape(-1, f.size, 3).mean(axis=1))
 
 
 def _detrended(values: Array) -> Array:

@@ -111,14 +111,13 @@ class Thermometers:
 def _integral(series: Array, at: Array) -> Array:
     """Return the integrals (q, N) up to times (N,), s after the first value, of series (q, K) every STEP, which are
     linear between values and constant beyond the ends."""
-    last = series.shape[1] - 1
     whole = np.zeros_like(series)
     np.cumsum(0.5 * STEP * (series[:, 1:] + series[:, :-1]), axis=1, out=whole[:, 1:])
-    step = np.clip((at / STEP).astype(np.int64), 0, max(last - 1, 0))
-    into = np.clip(at - STEP * step, 0.0, STEP)
-    here, there = series[:, step], series[:, np.minimum(step + 1, last)]
-    beyond = np.maximum(at - STEP * last, 0.0) * series[:, [-1]] + np.minimum(at, 0.0) * series[:, [0]]
-    return np.asarray(whole[:, step] + into * here + 0.5 * into**2 / STEP * (there - here) + beyond)
+    inside = np.clip(at, 0.0, STEP * (series.shape[1] - 1))
+    step = np.minimum((inside / STEP).astype(np.int64), series.shape[1] - 2)
+    into, here = inside - STEP * step, series[:, step]
+    there = here + into / STEP * (series[:, step + 1] - here)
+    return np.asarray(whole[:, step] + 0.5 * into * (here + there) + (at - inside) * there)
 
 
 def followed(kelvin: Array, step: float, lag: float, first: float | None = None) -> Array:

@@ -13,7 +13,6 @@ least residual: at the ends of a ramp they lag behind it, which is no noise eith
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,94 +33,47 @@ def without_warming(series: Sequence[Array], kelvin: KelvinAtLag | None, thermom
     without thermometers, `thermometer` (c,) that of each channel."""
     if kelvin is None or not len(thermometer):
         return list(series)
-    by_rest = np.split(kelvin(0.0), np.cumsum([len(s) for s in series])[:-1])
+    count = np.array([len(s) for s in series])
+    first = np.cumsum(count) - count
+    by_rest = np.split(kelvin(0.0), first[1:])
     if max(map(warming_of, by_rest)) < WARMED:
         return list(series)
-    fits = {t: _WarmingFit.of([s[:, thermometer == t] for s in series]) for t in np.unique(thermometer).tolist()}
 
-    def explained(lag: float) -> float:
-        """Return the decrease of the sum of squares with a lag, s."""
-        warm = kelvin(lag)
-        return sum(fit.explained(warm[:, t]) for t, fit in fits.items())
+    def by_block(values: Array) -> Array:
+        """Return values of the rests (·, N) at all their blocks (·, K)."""
+        return np.repeat(values, count, axis=-1)
 
-    fit_lag = np.ptp([k.mean(axis=0) for k in by_rest], axis=0).max() >= OVER_TEMPERATURE
-    lags, best = (LAGS, 0) if fit_lag else (np.zeros(1), 0)
-    for refinement in range(1 + REFINEMENTS if fit_lag else 0):
-        if refinement:
-            lags = np.linspace(lags[max(best - 1, 0)], lags[min(best + 1, len(lags) - 1)], REFINED_LAGS)
-        best = int(np.argmax([explained(lag) for lag in lags.tolist()]))
-    warm = kelvin(float(lags[best]))
-    out = [np.empty_like(s) for s in series]
-    for t, fit in fits.items():
-        for whole, quiet in zip(out, fit.without(warm[:, t]), strict=True):
-            whole[:, thermometer == t] = quiet
-    return out
+    readings = np.ascontiguousarray(np.concatenate(series).T)
+    means = np.add.reduceat(readings, first, axis=1) / count
+    off, scale = readings - by_block(means), by_block(means - means.mean(axis=1, keepdims=True))
+    noise = np.concatenate([np.diff(s, axis=0) for s in series]).std(axis=0)
+    noise[noise == 0.0] = 1.0
 
+    def effect(lag: float) -> tuple[Array, float]:
+        """Return the effect of the temperature (c, K) with a lag, s, and the decrease of the sum of squares by it, in
+        units of the noise."""
+        warm, fitted, explained = np.ascontiguousarray(kelvin(lag).T), np.empty_like(off), 0.0
+        warm = warm - np.mean(np.add.reduceat(warm, first, axis=1) / count, axis=1, keepdims=True)
+        powers = np.stack([warm, warm**2])
+        powers -= by_block(np.add.reduceat(powers, first, axis=2) / count)
+        for c, t in enumerate(thermometer.tolist()):
+            columns = np.concatenate([powers[:, t], scale[c] * powers[:, t]])
+            normal, along = columns @ columns.T, columns @ off[c]
+            size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+            inverse = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-12, hermitian=True)
+            coefficients = inverse @ (along / size) / size
+            fitted[c] = coefficients @ columns
+            explained += float(coefficients @ along) / noise[c] ** 2
+        return fitted, explained
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _WarmingFit:
-    """Fit of the temperature dependence of the block means of N rests, of the c channels of one thermometer.
-
-    `means`, `off`: means of the rests (c, N), and differences of the blocks from these (c, K). `first`, `count`: first
-    block and number of blocks of each rest (N,). `noise`: standard deviation of the differences from block to block
-    (c,)."""
-
-    means: Array
-    off: Array
-    first: IntArray
-    count: IntArray
-    noise: Array
-
-    @staticmethod
-    def of(series: Sequence[Array]) -> _WarmingFit:
-        means, count = np.array([s.mean(axis=0) for s in series]), np.array([len(s) for s in series])
-        off = np.concatenate([s - mean for s, mean in zip(series, means, strict=True)])
-        noise = np.concatenate([np.diff(s, axis=0) for s in series]).std(axis=0)
-        return _WarmingFit(
-            means=means.T,
-            off=np.ascontiguousarray(off.T),
-            first=np.cumsum(count) - count,
-            count=count,
-            noise=np.where(noise > 0.0, noise, 1.0),
-        )
-
-    def explained(self, kelvin: Array) -> float:
-        """Return the decrease of the sum of squares, in units of the noise."""
-        _, coefficients, along = self._fitted(kelvin)
-        return float(((coefficients * along).sum(axis=1) / self.noise**2).sum())
-
-    def without(self, kelvin: Array) -> list[Array]:
-        """Return block means (K, c) of the rests without the part that depends on the temperature."""
-        columns, coefficients, _ = self._fitted(kelvin)
-        bias_slopes, scale_slopes = coefficients[:, :2, None], coefficients[:, 2:, None]
-        slopes = np.repeat(bias_slopes + self._offsets[:, None] * scale_slopes, self.count, axis=2)
-        quiet = self.off - np.einsum("jk,cjk->ck", columns, slopes) + np.repeat(self.means, self.count, axis=1)
-        return np.split(quiet.T, self.first[1:])
-
-    def _fitted(self, kelvin: Array) -> tuple[Array, Array, Array]:
-        """Solve the normal equations, with columns scaled to length 1. Return T and its square (2, K) about their means
-        in each rest, their coefficients (c, 4), and the products of the columns with the readings (c, 4)."""
-        warmer = kelvin - self._mean(kelvin).mean()
-        columns = np.stack([warmer, warmer**2])
-        columns -= np.repeat(self._mean(columns), self.count, axis=1)
-        square = np.add.reduceat(columns[:, None] * columns, self.first, axis=2)
-        products = np.add.reduceat(columns[:, None] * self.off, self.first, axis=2)
-        powers = self._offsets ** np.arange(3)[:, None, None]
-        zeroth, first, second = np.einsum("dcn,ijn->dcij", powers, square)
-        normal = np.block([[zeroth, first], [first, second]])
-        along = np.einsum("dcn,icn->cdi", powers[:2], products).reshape(-1, 4)
-        size = np.sqrt(np.maximum(np.diagonal(normal, axis1=1, axis2=2), 1e-300))
-        inverse = np.linalg.pinv(normal / (size[:, :, None] * size[:, None, :]), rcond=1e-12, hermitian=True)
-        return columns, np.einsum("cij,cj->ci", inverse, along / size) / size, along
-
-    @property
-    def _offsets(self) -> Array:
-        """Means of the rests less their mean (c, N)."""
-        return np.asarray(self.means - self.means.mean(axis=1, keepdims=True))
-
-    def _mean(self, values: Array) -> Array:
-        """Return the means over the rests (·, N) of values (·, K)."""
-        return np.asarray(np.add.reduceat(values, self.first, axis=-1) / self.count)
+    lags, best = np.zeros(1), 0
+    if np.ptp([k.mean(axis=0) for k in by_rest], axis=0).max() >= OVER_TEMPERATURE:
+        lags = LAGS
+        for refinement in range(1 + REFINEMENTS):
+            if refinement:
+                lags = np.linspace(lags[max(best - 1, 0)], lags[min(best + 1, len(lags) - 1)], REFINED_LAGS)
+            best = int(np.argmax([effect(lag)[1] for lag in lags.tolist()]))
+    return np.split((readings - effect(float(lags[best]))[0]).T, first[1:])
 
 
 def warming_of(kelvin: Array) -> float:

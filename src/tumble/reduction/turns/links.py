@@ -25,7 +25,7 @@ from itertools import pairwise
 import numpy as np
 
 from tumble.reduction.blocks.motion_samples import MotionSamples
-from tumble.reduction.blocks.reducer import Reduction
+from tumble.reduction.blocks.reducer import FileBlocks, Reduction
 from tumble.reduction.rests.blemishes import bad_samples_of_turns
 from tumble.reduction.rests.segmentation import Stretch
 from tumble.reduction.rests.sway import FOURTH_DIFFERENCES
@@ -86,8 +86,10 @@ def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
     if reduction.samples is None:
         return None
     blocks = max(1, round(NODE_SECONDS / reduction.block_seconds))
-    file, time, before, free = list[int](), list[float](), list[int](), list[bool]()
-    rest, edges, duration, fields = list[int](), list[tuple[int, int]](), list[float](), list[Array]()
+    stations, rest = list[tuple[int, float]](), list[int]()  # file and time of each, and the stations that are rests
+    motion = list[
+        tuple[FileBlocks, int, int, int, bool, bool]
+    ]()  # station and first block, last, whether ends are nodes
     for f in reduction.files:
         rests = [span for span in spans if span.file == f.file]
         starts, stops = [0, *(span.last for span in rests)], [*(span.first for span in rests), len(f)]
@@ -95,61 +97,55 @@ def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
         for k, (start, stop) in enumerate(zip(starts, stops, strict=True)):
             after_rest, before_rest = k > 0, k < len(rests)
             if after_rest:
-                rest.append(len(time))
-                file.append(f.file)
-                time.append(0.5 * (rests[k - 1].start + rests[k - 1].stop))
+                rest.append(len(stations))
+                stations.append((f.file, 0.5 * (rests[k - 1].start + rests[k - 1].stop)))
             if stop - start < blocks or (after_rest and before_rest and not is_linked(rests[k - 1], rests[k])):
                 continue
             cuts = np.linspace(start, stop, max(1, round((stop - start) / blocks)) + 1).astype(np.int64).tolist()
-            nodes = cuts[int(after_rest) : -1 if before_rest else None]
-            first = len(time) - after_rest
-            file += [f.file] * len(nodes)
-            time += [float(f.edges[cut]) for cut in nodes]
+            first = len(stations) - after_rest
+            stations += [(f.file, float(f.edges[cut])) for cut in cuts[int(after_rest) : -1 if before_rest else None]]
             for j, (a, b) in enumerate(pairwise(cuts)):
-                if any(gap.time < f.edges[b] and gap.stop > f.edges[a] for gap in breaks):
-                    continue
-                from_node, to_node = j > 0 or not after_rest, j < len(cuts) - 2 or not before_rest
-                before.append(first + j)
-                free.append(from_node and to_node)
-                edges.append((f.sample_at(a), f.sample_at(b)))
-                fields.append(_value_at(f.magnetometer.means, a) if from_node else np.full(3, np.nan))
-                duration.append(reduction.clock_rate * float(f.edges[b] - f.edges[a]))
-    if not before:
+                if not any(gap.time < f.edges[b] and gap.stop > f.edges[a] for gap in breaks):
+                    ends = j > 0 or not after_rest, j < len(cuts) - 2 or not before_rest
+                    motion.append((f, first + j, a, b, *ends))
+    if not motion:
         return None
-    parts = np.array([np.linspace(a, b, PARTS + 1).astype(np.int64) for a, b in edges])
-    samples, seconds = _samples_of(reduction.samples, parts), np.array(duration)
+    parts = np.array([np.linspace(f.sample_at(a), f.sample_at(b), PARTS + 1) for f, _, a, b, *_ in motion])
+    parts = parts.astype(np.int64)
+    samples = _samples_of(reduction.samples, parts)
+    seconds = reduction.clock_rate * np.array([f.edges[b] - f.edges[a] for f, _, a, b, *_ in motion])
     of_parts = (independent_sample_variances(samples, kind).reshape(-1, PARTS) for kind in ("gyro", "accel"))
     gyro_density, accel_density = (float(np.quantile(v.sum(axis=1) / seconds, QUIET_SHARE)) for v in of_parts)
-    within = np.array([(f.first_sample, f.sample_at(len(f))) for f in (reduction.by_file[file[i]] for i in before)])
-    start, stop = np.maximum(parts[:, 0] - 1, within[:, 0]), np.minimum(parts[:, -1] + 1, within[:, 1])
+    low, high = np.array([(f.first_sample, f.sample_at(len(f))) for f, *_ in motion]).T
+    start, stop = np.maximum(parts[:, 0] - 1, low), np.minimum(parts[:, -1] + 1, high)
     least = smallest_distances(reduction, (gyro_density, accel_density))
-    bad = bad_samples_of_turns(
-        reduction.samples, start, stop, (within[:, 0], within[:, 1]), reduction.rate, least, reduction.tuning
-    )
+    bad = bad_samples_of_turns(reduction.samples, start, stop, (low, high), reduction.rate, least, reduction.tuning)
     is_sound = ~np.isin(np.arange(len(parts)), bad.turn)
     if not is_sound.any():
         return None
-    parts, field_variance = parts[is_sound], None
-    rates, forces = _ends(reduction.samples, parts)
+    rates, forces = _ends(reduction.samples, parts[is_sound])
+    fields, field_variance = None, 0.0
     field_means = [f.magnetometer.means for f in reduction.files if len(f) > 4 and reduction.magnetometer_channels]
     if field_means:  # from fourth differences of the quieter half: what moves fast, or jumps, adds to the others
         squares = np.concatenate([np.diff(means, n=4, axis=0) for means in field_means]) ** 2
         block_variance = np.median(squares) / (FOURTH_DIFFERENCES * NORMAL_MEDIAN)
         field_variance = float(block_variance * (EDGE_WEIGHTS**2).sum())
+        fields = np.array([_value_at(f.magnetometer.means, a, node) for f, _, a, _, node, _ in motion])[is_sound]
+    file, time = zip(*stations, strict=True)
     return Links(
         file=np.array(file),
         time=np.array(time),
         rest=np.array(rest, dtype=np.int64),
-        before=np.array(before, dtype=np.int64)[is_sound],
-        free=np.array(free, dtype=bool)[is_sound],
+        before=np.array([before for _, before, *_ in motion])[is_sound],
+        free=np.array([from_node and to_node for *_, from_node, to_node in motion])[is_sound],
         duration=seconds[is_sound],
-        samples=_samples_of(reduction.samples, parts),
+        samples=_samples_of(reduction.samples, parts[is_sound]),
         rates=rates,
         forces=forces,
         gyro_density=gyro_density,
         accel_density=accel_density,
-        magnetometer=None if field_variance is None else np.array(fields)[is_sound],
-        magnetometer_variance=field_variance or 0.0,
+        magnetometer=fields,
+        magnetometer_variance=field_variance,
         bad_samples=len(np.unique(bad.at)),
     )
 
@@ -166,19 +162,17 @@ def is_linked(before: Stretch, after: Stretch) -> bool:
 
 def _ends(stored: MotionSamples, parts: IntArray) -> tuple[Array, Array]:
     """Return rates and forces (K PARTS, 2, 3) at both ends of each part, means of the samples on either side."""
-    first, last = int(parts.min()), int(parts.max())
-    rates, forces, _ = stored.read(first, last)
-    out = []
-    for values in (rates, forces):
-        edges = parts - first
-        at = 0.5 * (values[np.maximum(edges - 1, 0)] + values[np.minimum(edges, len(values) - 1)])
-        out.append(np.stack([at[:, :-1], at[:, 1:]], axis=2).reshape(-1, 2, 3))
-    return out[0], out[1]
+    rates, forces, _ = stored.read(int(parts.min()), int(parts.max()))
+    edges = parts - parts.min()
+    before, after = np.maximum(edges - 1, 0), np.minimum(edges, len(rates) - 1)
+    at = [0.5 * (values[before] + values[after]) for values in (rates, forces)]
+    rates, forces = (np.stack([x[:, :-1], x[:, 1:]], axis=2).reshape(-1, 2, 3) for x in at)
+    return rates, forces
 
 
-def _value_at(means: Array, edge: int) -> Array:
-    """Return the value (3,) at an edge of blocks with these means (K, 3); NaN near the ends."""
-    if means.shape[1] != 3 or not 2 <= edge <= len(means) - 2:
+def _value_at(means: Array, edge: int, node: bool) -> Array:
+    """Return the value (3,) at an edge of blocks with these means (K, 3); NaN near the ends, and where no node is."""
+    if not node or not 2 <= edge <= len(means) - 2:
         return np.full(3, np.nan)
     return np.asarray(EDGE_WEIGHTS @ means[edge - 2 : edge + 2])
 

@@ -18,7 +18,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import groupby, pairwise
+from operator import itemgetter
 from typing import ClassVar
 
 import numpy as np
@@ -129,38 +130,38 @@ class TurnSamples:
 
     def _gathered(self) -> Iterator[Pieces]:
         """Yield the batches of these samples, without those of `others`."""
-        parts: list[tuple[int, int, int, int]] = []
-        count = 0
-        for turn, (start, stop) in enumerate(zip(self.start, self.stop, strict=True)):
-            for at in range(int(start), int(stop), BATCH_SAMPLES):
-                end, ahead = min(at + BATCH_SAMPLES, int(stop)), min(AHEAD, at)
-                parts.append((turn, at - ahead, at, end))
-                count += end - at + ahead
-                if count >= BATCH_SAMPLES:
-                    yield self._pieces(parts, count)
-                    parts, count = [], 0
-        if parts:
-            yield self._pieces(parts, count)
+        spans = [
+            (turn, at, min(at + BATCH_SAMPLES, int(stop)))
+            for turn, (start, stop) in enumerate(zip(self.start, self.stop, strict=True))
+            for at in range(int(start), int(stop), BATCH_SAMPLES)
+        ]
+        done = np.cumsum([0, *(end - at for _, at, end in spans)]) // BATCH_SAMPLES
+        for _, batch in groupby(zip(done, spans, strict=False), key=itemgetter(0)):
+            turn, at, end = np.array([span for _, span in batch]).T
+            rates, forces, intervals = zip(*map(self._read, turn, at, end), strict=True)
+            stop = np.cumsum([len(each) for each in intervals])
+            yield Pieces(
+                rates=np.concatenate(rates),
+                forces=np.concatenate(forces),
+                intervals=np.concatenate(intervals),
+                turn=turn,
+                start=stop - (end - at),
+                stop=stop,
+            )
 
-    def _pieces(self, parts: list[tuple[int, int, int, int]], count: int) -> Pieces:
-        """Read a batch of `count` samples in parts of turns: (turn, first sample to read, first of the part, end)."""
-        rates, forces, intervals = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
-        pieces, done = [], 0
-        for turn, first, at, end in parts:
-            into = slice(done, done + end - first)
-            rates[into], forces[into], intervals[into] = self.samples.read(first, end)
-            if self.ramps is not None:
-                rise, fall = np.maximum(self.ramps[turn], 1)
-                at_sample = np.arange(at, end) + 0.5
-                weight = np.minimum((at_sample - self.start[turn]) / rise, (self.stop[turn] - at_sample) / fall)
-                intervals[done + at - first : done + end - first] *= np.minimum(weight, 1.0)
-            bad = slice(*np.searchsorted(self.bad.at, [first, end]))
-            places = done + self.bad.at[bad] - first
-            rates[places], forces[places] = np.hsplit(self.bad.values[bad], 2)
-            pieces.append((turn, done + at - first, done + end - first))
-            done += end - first
-        turns, start, stop = np.array(pieces).T
-        return Pieces(rates=rates, forces=forces, intervals=intervals, turn=turns, start=start, stop=stop)
+    def _read(self, turn: int, at: int, end: int) -> tuple[Array, Array, Array]:
+        """Return rates (m, 3), forces (m, 3) and weighted intervals (m,) of samples at … end − 1 of a turn, with up to
+        AHEAD samples before them."""
+        first = max(at - AHEAD, 0)
+        rates, forces, intervals = self.samples.read(first, end)
+        if self.ramps is not None:
+            rise, fall = np.maximum(self.ramps[turn], 1)
+            middle = np.arange(at, end) + 0.5
+            weight = np.minimum((middle - self.start[turn]) / rise, (self.stop[turn] - middle) / fall)
+            intervals[at - first :] *= np.minimum(weight, 1.0)
+        bad = slice(*np.searchsorted(self.bad.at, [first, end]))
+        rates[self.bad.at[bad] - first], forces[self.bad.at[bad] - first] = np.hsplit(self.bad.values[bad], 2)
+        return rates, forces, intervals
 
 
 def linear_compensation(gyro: Block, gyro_model: SensorModel, accel: Block, accel_model: SensorModel) -> Compensation:
@@ -178,16 +179,16 @@ def reduced_turns(
     stored: MotionSamples,
     spans: tuple[Stretch, ...],
     rests: Rests,
-    accel_noise: tuple[Block, ColouredNoise],
-    gyro_noise: tuple[Block, ColouredNoise],
+    blocks: tuple[Block, Block],
+    noise: Mapping[str, ColouredNoise],
     rounded: Mapping[str, Rounding],
     sway: Sway | None = None,
 ) -> tuple[Turns, TurnSamples]:
     """Integrate the completely recorded turns between consecutive rests, with nominal gyros.
 
-    `spans`, `rests`: the rests as stretches of blocks, and their means. `accel_noise`, `gyro_noise`: sensors of each
-    kind, and noise of their block means. `rounded`: resolution of "accel" and "gyro". `sway`: of a device that sways,
-    whose turns are then from mean attitude to mean attitude."""
+    `spans`, `rests`: the rests as stretches of blocks, and their means. `blocks`: accelerometers and gyros. `noise`,
+    `rounded`: of their block means, and their resolution, for "accel" and "gyro". `sway`: of a device that sways, whose
+    turns are then from mean attitude to mean attitude."""
     pairs = [
         (i, reduction.by_file[before.file], before, after)
         for i, (before, after) in enumerate(pairwise(spans))
@@ -209,21 +210,21 @@ def reduced_turns(
         ramps *= (duration > 0.0)[:, None]  # not between the parts of a rest
         duration = duration + 0.5 * (ramps / reduction.rate).sum(axis=1)
         samples = replace(samples, start=start - ramps[:, 0], stop=stop + ramps[:, 1], ramps=ramps)
-    (accel, noise_of_forces), (gyro, noise_of_rates) = accel_noise, gyro_noise
+    accel, gyro = blocks
     nominal = linear_compensation(gyro, gyro.nominal(), accel, accel.nominal())
     moments, C, V = integrate_in_parts(samples.pieces(), samples.lengths, PATH_STEPS, nominal)
     seconds = moments.T.reshape(-1, PATH_STEPS)
     Phi = np.einsum("kpij,kpj...->ki...", C[:, :-1], moments.Phi[..., :4].reshape(-1, PATH_STEPS, 3, 3, 4))
     noise_time = np.maximum(duration, block_seconds)
 
-    def integral_covariances(block: Block, noise: ColouredNoise) -> tuple[Array, Array]:
+    def integral_covariances(block: Block) -> tuple[Array, Array]:
         """Return covariances (K, 3, 3), in the body, of the integrals over the turns, from noise and from rounding."""
         to_body, from_rounding = onto_body(block.axes), _rounding_covariance(samples, block, rounded[block.kind])
-        from_noise = np.array([T**2 * noise.covariance_of_mean(T / block_seconds) for T in noise_time])
+        from_noise = np.array([T**2 * noise[block.kind].covariance_of_mean(T / block_seconds) for T in noise_time])
         return to_body @ from_noise.reshape(from_rounding.shape) @ to_body.T, to_body @ from_rounding @ to_body.T
 
-    velocity = np.trace(sum(integral_covariances(accel, noise_of_forces)), axis1=1, axis2=2) / 3.0
-    from_noise, from_rounding = integral_covariances(gyro, noise_of_rates)
+    velocity = np.trace(sum(integral_covariances(accel)), axis1=1, axis2=2) / 3.0
+    from_noise, from_rounding = integral_covariances(gyro)
     density = from_noise / noise_time[:, None, None] if sway is None else sway.density
     density = density + from_rounding / noise_time[:, None, None]
     # error of the integration, of third order in the angle of a step (docs/explanation/mathematics.md (6)), and floor
@@ -242,7 +243,7 @@ def reduced_turns(
         M=Phi[..., 1:],
         B=Phi[..., 0],
         covariance=covariance,
-        arising=np.array([noise_of_rates.arising(T / block_seconds) for T in noise_time]),
+        arising=np.array([noise["gyro"].arising(T / block_seconds) for T in noise_time]),
         velocity_covariance=(velocity + floor**2)[:, None, None] * np.eye(3),
         jumps=moments.jumps.reshape(-1, PATH_STEPS).sum(axis=1),
         aliased=aliased_rotations(samples, covariance),
@@ -301,11 +302,12 @@ def turn_readings(
     reduction: Reduction,
     spans: tuple[Stretch, ...],
     turned: tuple[Turns, TurnSamples],
-    gyro_noise: tuple[Block, ColouredNoise],
+    gyro: Block,
+    noise: ColouredNoise,
     rounded: Rounding,
 ) -> TurnReadings:
     """Integrate the readings of every gyro between the rests, from the blocks."""
-    (turns, samples), (gyro, noise) = turned, gyro_noise
+    turns, samples = turned
     integral, covariance = np.zeros((len(turns), gyro.size)), _rounding_covariance(samples, gyro, rounded)
     for k, (i, j, T) in enumerate(zip(turns.first, turns.last, turns.duration, strict=True)):
         blocks, between = reduction.by_file[spans[i].file], slice(spans[i].last, spans[j].first)
