@@ -36,15 +36,11 @@ from tumble.planning.setup import GROUPS, MEMBERS, NAMES, Setup, check_setup
 from tumble.sensors.grades import GRADES
 from tumble.units import DEGREE_PER_HOUR, Array
 
-_INDIRECT = ("indirect, programme matrix",) * 2
-_BY_METHOD: Mapping[MethodOfPaper, tuple[str, ...]] = {
-    "sequential": (*("up and down, levelled, Eq. (4)",) * 2, "axes 45° up and down, Eq. (10)",
-                   "vertical axes, Eq. (18)", *_INDIRECT),
-    "scalar": (*("scalar, estimated orientation, Eq. (13)",) * 3, "vertical axes, Eq. (18)", *_INDIRECT),
-}  # fmt: skip
-ESTIMATORS = {method: dict(zip(GROUPS, words, strict=True)) for method, words in _BY_METHOD.items()}
-"""How each method determines each group of parameters, with equations of the paper."""
-
+_OF_ACCELEROMETERS: Mapping[MethodOfPaper, tuple[str, ...]] = {
+    "sequential": (*("up and down, levelled, Eq. (4)",) * 2, "axes 45° up and down, Eq. (10)"),
+    "scalar": ("scalar, estimated orientation, Eq. (13)",) * 3,
+}
+_OF_GYROS = ("vertical axes, Eq. (18)", *("indirect, programme matrix",) * 2)
 LARGEST_AZIMUTH = 0.1
 """Largest azimuth error of TRIAD, rad, for formulas of first order in it; the paper requires biases an order of
 magnitude below the Earth's rate as well."""
@@ -56,7 +52,10 @@ class PassErrors:
     """Errors of the parameters after passes of a method; matrices (21, 21) convert variances of parameters to them."""
 
     setup: Setup
-    groups: tuple[str, ...]  # that the programme determines; without known turns no gyro scale factors and angles
+    method: MethodOfPaper
+    estimators: Mapping[str, str]
+    """How each group is determined that the programme determines; without known turns, gyro scale factors and angles
+    are not."""
     exact: Array  # after the first pass, on an exact programme
     by_table: Array  # by table errors
     by_mounting: Array  # by mounting errors
@@ -71,6 +70,7 @@ class PassErrors:
         that the method needs."""
         check_setup(setup)
         plan = PaperProgramme.of(setup, method)
+        groups = GROUPS if len(plan.first) else GROUPS[:4]
         T0, D = plan.first_order()
         table = 3 * len(plan.nominal)
         width = np.repeat([setup.table_error, setup.mounting_error], [table, 3])
@@ -88,7 +88,8 @@ class PassErrors:
         Q = np.outer(spread, spread)[:, :, None] * plan.second_order()
         return PassErrors(
             setup=setup,
-            groups=GROUPS if len(plan.first) else GROUPS[:4],
+            method=method,
+            estimators=dict(zip(groups, (*_OF_ACCELEROMETERS[method], *_OF_GYROS), strict=False)),
             exact=T0**2,
             by_table=np.tensordot(v[:table], D[:table] ** 2, axes=1),
             by_mounting=np.tensordot(v[table:], D[table:] ** 2, axes=1),
