@@ -24,10 +24,9 @@ from tumble.brief import Brief
 from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
 from tumble.planning.bounds import CLOCK, GRAVITY, Bound, expected_bound
-from tumble.planning.error_propagation import MethodOfPaper
 from tumble.planning.in_motion import Motion
 from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
-from tumble.planning.pass_errors import REST_NOISE, PassErrors, remarks
+from tumble.planning.pass_errors import REST_NOISE, MethodOfPaper, PassErrors, remarks
 from tumble.planning.setup import NAMES, UNITS, Setup, check_setup, expect, time_of, with_all_groups
 from tumble.recording.session import USUAL_RATE_U
 from tumble.recording.session.document import UNKNOWN_HEIGHT_GRAVITY_U
