@@ -24,7 +24,7 @@ from tumble.brief import Brief
 from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
 from tumble.planning.bounds import CLOCK, GRAVITY, Bound, expected_bound
-from tumble.planning.in_motion import Motion
+from tumble.planning.itinerary import Motion
 from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
 from tumble.planning.pass_errors import REST_NOISE, MethodOfPaper, PassErrors, remarks
 from tumble.planning.setup import NAMES, UNITS, Setup, check_setup, expect, time_of, with_all_groups
