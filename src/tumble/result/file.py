@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, fields, replace
 from functools import cache
@@ -33,6 +34,7 @@ from tumble.sensors.parameters import group_name, sensor_kind, within_group, wit
 FORMAT = 1
 LONGEST_TEXT = 10_000
 ORIGIN = ("log_sha256", "software", "created", "prior")  # fields of `Provenance` in the table "provenance"
+_NESTED = re.compile(rf"^(evidence|provenance)\.(?!({'|'.join(ORIGIN)})\b)")  # before keys that are side by side
 _SENTENCES = ("notes", "assumptions", "absent", "remedies")  # keys of texts that may have control characters
 
 
@@ -170,20 +172,23 @@ def calibration_of_text(kind: type[AnyCalibration], text: str, name: str) -> Any
         return {key: values[key] for key in keys_of(record) if key in values}
 
     origin = content.get("provenance", {})
-    fields_of_provenance = part(Provenance, content | origin) if isinstance(origin, dict) else origin
-    nested = part(kind, content) | {"evidence": part(Evidence, content), "provenance": fields_of_provenance}
+    if isinstance(origin, dict):
+        origin = part(Provenance, content | {key: origin.get(key) for key in ORIGIN})
+    nested = part(kind, content) | {"evidence": part(Evidence, content), "provenance": origin}
     try:
-        _check_leaves(content)
+        _check_numbers(content)
         read: AnyCalibration = _adapter(kind).validate_json(json.dumps(nested))
-        return _checked(read, content.get("remedies", {}))
+        calibration = _checked(read, content.get("remedies", {}))
+        _check_texts(content)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         if first["type"] == "json_invalid":
             raise _no_calibration(name, first["msg"].removeprefix("Invalid JSON: ")) from None
-        fault = faults_of(error, nested, kind)[0].removeprefix("evidence.")
+        fault = _NESTED.sub("", faults_of(error, nested, kind)[0])
         raise CalibrationError(f"{name}: {fault}") from None
     except ValueError as error:
         raise CalibrationError(f"{name}: {error}") from None
+    return calibration
 
 
 def _checked(read: AnyCalibration, remedies: Any) -> AnyCalibration:
@@ -241,16 +246,21 @@ def _check_sensors(calibration: CalibrationData) -> None:
                 raise ValueError(f"{key}: expected {counts[first]} sensors, as {first} has, found {found}")
 
 
-def _check_leaves(content: Mapping[str, Any]) -> None:
-    """Raise ValueError for numbers and texts of a document that are too large, and for control characters."""
+def _check_numbers(content: Mapping[str, Any]) -> None:
+    """Raise ValueError for numbers of a document that are too large."""
     for key, value in _leaves(content, ()):
-        place = dotted(key)[:80]
         if isinstance(value, float) and abs(value) > LARGEST:
-            raise ValueError(f"{place}: expected a number of at most {LARGEST:g} in size, found {value:g}")
-        plain = not isinstance(value, str) or is_plain(value) or key[:1] in {(name,) for name in _SENTENCES}
-        if not plain or (isinstance(value, str) and len(value) > LONGEST_TEXT):
+            size = f"expected a number of at most {LARGEST:g} in size, found {value:g}"
+            raise ValueError(f"{dotted(key)[:80]}: {size}")
+
+
+def _check_texts(content: Mapping[str, Any]) -> None:
+    """Raise ValueError for texts of a document that are too long, and for control characters outside of sentences."""
+    for key, text in _leaves(content, ()):
+        may_have_any = bool(key) and key[0] in _SENTENCES
+        if isinstance(text, str) and (len(text) > LONGEST_TEXT or not (may_have_any or is_plain(text))):
             limits = f"at most {LONGEST_TEXT} characters and no control characters"
-            raise ValueError(f"{place}: expected {limits}, found {shown(value)}")
+            raise ValueError(f"{dotted(key)[:80]}: expected {limits}, found {shown(text)}")
 
 
 def _leaves(content: Any, key: tuple[int | str, ...]) -> Iterator[tuple[tuple[int | str, ...], Any]]:
