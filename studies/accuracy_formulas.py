@@ -2,7 +2,7 @@
 
 They are numbered as in Vodicheva & Parysheva (Giroskopiya i Navigatsiya 27, 2(105), 2019), with the corrections of the
 turntable method (§ are its sections). The program differentiates the methods themselves instead
-(`tumble.planning.error_propagation`). Here they are held against simulations and the published numbers
+(`tumble.planning.pass_errors`). Here they are held against simulations and the published numbers
 (tests/planning/test_accuracy.py, studies/formulas_against_simulation.py).
 
 Symbols: b = δw/g, bias of an accelerometer as an angle, rad; k, γ scale-factor error and axis angles; M, E matrix

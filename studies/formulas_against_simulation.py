@@ -27,8 +27,8 @@ from accuracy_formulas import (
 
 from tumble.earth import earth_rate, normal_gravity
 from tumble.inference.noise import CORRELATION_TIME
-from tumble.planning.error_propagation import METHODS_OF_PAPER, MethodOfPaper
 from tumble.planning.itinerary import itinerary_of
+from tumble.planning.pass_errors import METHODS_OF_PAPER, MethodOfPaper
 from tumble.planning.plan import plan
 from tumble.planning.setup import GROUPS, NAMES, Setup
 from tumble.programme.positions import programme

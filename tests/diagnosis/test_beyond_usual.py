@@ -26,7 +26,6 @@ from tumble.methods.ellipsoid import ellipsoid
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.segmentation import Segmentation, Stretch
-from tumble.result.parts import OutcomeFromTable
 from tumble.run.calibrate import calibrate
 from tumble.sensors.grades import GRADES
 from tumble.sensors.parameters import group_name
@@ -58,7 +57,7 @@ def test_groups_at_ten_times_their_size_are_named_and_nothing_scatters(seed: int
     assert "gyro.g_sensitivity" in causes_of(misfit(estimate))
     (said,) = (remark for remark in outcome.gyro.remarks if "g-sensitivity" in remark)
     assert said not in outcome.accel.remarks
-    assert TypeAdapter[Outcome](OutcomeFromTable).validate_json(json.dumps(as_json(outcome))) == outcome
+    assert TypeAdapter(Outcome).validate_json(json.dumps(as_json(outcome))) == outcome
 
 
 @pytest.mark.parametrize("seed", [14, 24])

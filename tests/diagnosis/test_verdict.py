@@ -44,7 +44,6 @@ from tumble.inference.normal_equations import solve
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
-from tumble.result.parts import OutcomeFromTable
 from tumble.rotation import rotation_matrix
 from tumble.run.calibrate import calibrate
 from tumble.sensors.parameters import Terms
@@ -277,7 +276,7 @@ def test_a_group_is_judged_with_its_kind_and_a_kind_with_its_groups() -> None:
 
 def read(outcome: Outcome) -> Outcome:
     """An outcome as a calibration file has it, read again."""
-    return TypeAdapter[Outcome](OutcomeFromTable).validate_json(json.dumps(as_json(outcome)))
+    return TypeAdapter(Outcome).validate_json(json.dumps(as_json(outcome)))
 
 
 def test_outcomes_come_back_from_their_content() -> None:

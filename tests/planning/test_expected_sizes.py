@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from tests.support.formula_setup import bound
 from tumble.diagnosis.linear_model import linear_joint
 from tumble.inference.joint import joint
-from tumble.planning.bounds import expected_bound
-from tumble.planning.expected_sizes import _expected_scatter, _expected_size
+from tumble.planning.bounds import _expected_scatter, _expected_size, expected_bound
 from tumble.planning.setup import Setup
 from tumble.recording.session import USUAL_CLOCK_U
 from tumble.sensors.parameters import positions_by_group

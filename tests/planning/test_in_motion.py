@@ -14,7 +14,7 @@ from tests.support.moving import Motion as Moved
 from tumble.cli import main
 from tumble.errors import InputError
 from tumble.planning.bounds import expected_bound
-from tumble.planning.in_motion import Held, Motion, motion_of
+from tumble.planning.itinerary import Held, Motion, motion_of
 from tumble.planning.setup import GROUPS, Setup, with_all_groups
 from tumble.sensors.parameters import positions_by_group
 from tumble.units import Array

@@ -25,7 +25,7 @@ from tests.support.formula_setup import (
 )
 from tumble.errors import InputError, ProgrammeError
 from tumble.methods.paper.four_stages import scalar, sequential
-from tumble.planning.error_propagation import METHODS_OF_PAPER, MethodOfPaper
+from tumble.planning.pass_errors import METHODS_OF_PAPER, MethodOfPaper
 from tumble.planning.plan import Requirement, plan
 from tumble.planning.setup import GROUPS, MEMBERS, NAMES, Setup, with_all_groups
 from tumble.programme.positions import ANY_MOVE, Programme, programme

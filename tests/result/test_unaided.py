@@ -11,7 +11,7 @@ import pytest
 from tests.support.calibrated import HEXAD, calibration, with_fields
 from tumble.inference.estimate import Outcome
 from tumble.inference.prediction import Prediction
-from tumble.result.unaided import improvement, unaided
+from tumble.result.further import improvement, unaided
 from tumble.rotation import rotation_matrix, unit_vector
 from tumble.units import DEGREE, G_STANDARD, Array
 

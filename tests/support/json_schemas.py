@@ -23,9 +23,8 @@ import numpy as np
 
 import tumble
 from tests.support import ROOT
-from tumble.result.calibration import Calibration
-from tumble.result.file import adapter_of, file_record
-from tumble.result.parts import Evidence, Provenance
+from tumble.inference.estimate import Fit, Outcome
+from tumble.result.calibration import Calibration, json_schema
 
 FOLDER = ROOT / "src/tumble/schemas"
 _RECORD = {
@@ -168,8 +167,10 @@ class Walk:
 
     def _calibration(self) -> dict[str, Any]:
         """The calibration file, whose record may be read with less than is written."""
-        found = adapter_of(file_record(Calibration, Evidence, Provenance)).json_schema()
-        self.definitions |= {name: _bare(each) for name, each in found.pop("$defs").items()}
+        found, printed = json_schema(), {kind.__name__: kind for kind in (Fit, Outcome)}
+        self.definitions |= {n: _bare(each) for n, each in found.pop("$defs").items() if n not in printed}
+        for kind in printed.values():
+            self._of_class(kind)
         bare: dict[str, Any] = _bare(found)
         return bare | {"required": list(bare["properties"])}
 

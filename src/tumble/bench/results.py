@@ -26,7 +26,7 @@ _POLL_SECONDS = 0.05
 def page_content(calibration: Calibration) -> dict[str, Any]:
     """Return a calibration for the page: verdict with reasons, parameters in the units of `tumble calibrate`, files,
     export formats, and the answer of the registry, empty at first."""
-    from tumble.result.unaided import improvement
+    from tumble.result.further import improvement
     from tumble.views.numbers import shown_units
 
     units, rows = shown_units(calibration.parameters), []

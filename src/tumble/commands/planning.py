@@ -82,7 +82,7 @@ def plan(
     **options: Any,
 ) -> None:
     """The u that a calibration by PROGRAMME will state, the best next positions, and what a wanted accuracy needs."""
-    from tumble.planning.in_motion import motion_of
+    from tumble.planning.itinerary import motion_of
     from tumble.planning.plan import plan
     from tumble.planning.setup import wanted_accuracies
     from tumble.programme.positions import from_attitudes

@@ -21,7 +21,6 @@ ellipsoid fitting). The sign of its Eq. (13), b = A u0, is lost in print.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import scipy
@@ -231,10 +230,14 @@ def _fit(sphere: _Sphere, used: BoolArray) -> EllipsoidFit | None:
     if values is None:
         return None
     spread, scatter, increments = SPREAD * np.repeat([sphere.modulus, 1.0, 1.0], 3), 0.0, [values]
+
+    def excess(scatter: float) -> float:
+        """Return χ² of the residuals with a scatter, less its expectation."""
+        return float((residual**2 / (variance + scatter**2 * by_scatter)).sum()) - degrees
+
     for scatter_round in range(1 + SCATTER_ROUNDS):
         if scatter_round:
             residual, _, variance, by_scatter = (each[used] for each in sphere.rows(values))
-            excess = partial(_excess, residual**2, variance, by_scatter)
             if scatter_round == 1 and not needs_scatter(excess(0.0) + degrees, degrees):
                 break
             scatter = fit_scatter(excess, float(np.sqrt(np.mean(residual**2 / by_scatter))))
@@ -282,11 +285,6 @@ def _fit(sphere: _Sphere, used: BoolArray) -> EllipsoidFit | None:
         increments=tuple(increments),
         converged=solution.is_negligible(FLOOR * spread),
     )
-
-
-def _excess(square: Array, variance: Array, by_scatter: Array, scatter: float) -> float:
-    """Return χ² of residuals less its expectation with nine parameters, with a scatter."""
-    return float((square / (variance + scatter**2 * by_scatter)).sum()) - (len(square) - 9)
 
 
 def _worst_position(sphere: _Sphere, fit: EllipsoidFit | None, used: BoolArray) -> WorstPosition | None:

@@ -187,6 +187,17 @@ def measurement_update(R: Array, d: Array, P: Array) -> tuple[Array, Array, Arra
     return G, both[:, -1], gain, np.eye(len(P)) - gain @ G
 
 
+def change_statistics(G: Array, z: Array, changes: Array, covariance_u: Array) -> tuple[Array, Array, Array]:
+    """Return tests of changes (k, q) of x from whitened sensitivities G (p, k) and innovation z (p,), Eqs. (2), (3).
+
+    They are |μ| (q,) of the effects μ = G · changes, the statistics t = μᵀz/|μ| and their inverse degrees of freedom,
+    with D the uncertainty `covariance_u` of the prior covariance of the first elements of x."""
+    effects = G @ changes
+    size = np.maximum(np.linalg.norm(effects, axis=0), 1e-300)
+    q = (G.T @ (effects / size))[: len(covariance_u)]
+    return size, effects.T @ z / size, np.einsum("ik,ij,jk->k", q, covariance_u, q) ** 2
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
     """A session whitened by the prior of x, whose first 1 + m elements are gravity and the parameters."""
@@ -229,9 +240,8 @@ def changes_in(
         free_variance[[1 + j for j in free]] = limits[free] ** 2
         updated, z, gain, _ = measurement_update(evidence.G, evidence.z, np.diag(free_variance))
         G = updated[:, 1 : 1 + m]
-        u = 1.0 / np.maximum(np.linalg.norm(G, axis=0), 1e-300)
-        t, q = u * (G.T @ z), updated[:, : 1 + m].T @ G * u
-        inverse_degrees = np.einsum("ij,ik,kj->j", q, covariance_u, q) ** 2
+        size, t, inverse_degrees = change_statistics(updated, z, np.eye(updated.shape[1])[:, 1 : 1 + m], covariance_u)
+        u = 1.0 / size
         determined = u[: instrument.linear_count] < limits[: instrument.linear_count] / DETERMINED
         determined[[*free, *untested]] = False
         candidates, limit = np.flatnonzero(determined), np.inf

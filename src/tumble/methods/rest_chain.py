@@ -49,6 +49,7 @@ from tumble.methods.field_check import (
     CheckPrior,
     CheckResult,
     Evidence,
+    change_statistics,
     changes_in,
     measurement_update,
     session_information,
@@ -230,14 +231,9 @@ class RestChain:
         return JudgedRest(tests=tests, misfit=misfit, learned=learned, moved=self._detected())
 
     def _statistics(self, G: Array, z: Array, changes: Array) -> tuple[Array, Array, Array]:
-        """Return |μ|, t and ζ (k,) of Eq. (3) for changes (n, k) of the state."""
-        mu = G @ changes
-        size = np.linalg.norm(mu, axis=0)
-        direction = mu / np.maximum(size, 1e-300)
-        t = direction.T @ z
-        q = G.T @ direction
-        inverse = np.einsum("ik,ij,jk->k", q, self._D, q) ** 2
-        return size, t, normal_score(t, 1.0 / np.maximum(inverse, 1e-12))
+        """Return |μ|, t and ζ (q,) of Eq. (3) for changes (n, q) of the state."""
+        size, t, inverse_degrees = change_statistics(G, z, changes, self._D)
+        return size, t, normal_score(t, 1.0 / np.maximum(inverse_degrees, 1e-12))
 
     def _detected(self) -> tuple[MovedBias, ...]:
         """Return the bias that has changed, if a sum exceeds the threshold, and set it free.

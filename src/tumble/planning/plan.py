@@ -13,7 +13,7 @@ table and mounting,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
@@ -24,19 +24,18 @@ from tumble.brief import Brief
 from tumble.diagnosis.observability import in_words
 from tumble.errors import InputError
 from tumble.planning.bounds import CLOCK, GRAVITY, Bound, expected_bound
-from tumble.planning.error_propagation import MethodOfPaper
-from tumble.planning.in_motion import Motion
+from tumble.planning.itinerary import Motion
 from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
-from tumble.planning.pass_errors import ESTIMATORS, REST_NOISE, PassErrors, remarks
-from tumble.planning.setup import MEMBERS, NAMES, UNITS, Setup, check_setup, expect, time_of, with_all_groups
+from tumble.planning.pass_errors import REST_NOISE, MethodOfPaper, PassErrors, remarks
+from tumble.planning.setup import NAMES, UNITS, Setup, check_setup, expect, time_of, with_all_groups
 from tumble.recording.session import USUAL_RATE_U
 from tumble.recording.session.document import UNKNOWN_HEIGHT_GRAVITY_U
 from tumble.reduction.blocks.tuning import USUAL
 from tumble.reduction.rests.matching import POSITION_LIMIT
 from tumble.rotation import UP
 from tumble.sensors.grades import spread_of
-from tumble.sensors.parameters import Terms, positions_by_group
-from tumble.units import DEGREE, engineering
+from tumble.sensors.parameters import Terms, group_of, positions_by_group
+from tumble.units import DEGREE, Array, engineering
 
 PlannedMethod = Literal["joint"] | MethodOfPaper
 Progress = Callable[[int, int], None]
@@ -188,10 +187,8 @@ def plan(
         expect(group, value, least="more than 0")
     if motion is not None and (method != "joint" or not gyros or wanted):
         raise InputError(f"{motion.held}: expected the method joint, gyros and no wanted accuracies, found others")
-    if method != "joint":
-        if not gyros:
-            raise InputError(f"gyros: expected True with the method {method}, found False; take the method joint")
-        return _plan_of_paper(setup, method, iterations, wanted)
+    if method != "joint" and not gyros:
+        raise InputError(f"gyros: expected True with the method {method}, found False; take the method joint")
 
     def state(setup: Setup) -> Bound:
         return expected_bound(setup, gyros=gyros, terms=terms, motion=motion)
@@ -201,29 +198,41 @@ def plan(
             return ()
         return next_positions(setup, wanted=wanted, gyros=gyros, table=table)
 
-    bound = state(setup)
-    groups = tuple(_groups_of(bound, setup))
-    _check_wanted(wanted, groups)
-    counts = _positions_needed(wanted, setup, state, following, progress)
-    requirements = tuple(_joint_requirement(g, w, setup, state, counts.get(g)) for g, w in wanted.items())
-    combinations = sorted(
-        in_words(bound.null, bound.names), key=lambda text: [name not in text for name in bound.names]
-    )
-    missing = [f"not determined: {', '.join(combinations)}"] if combinations else []
-    return Plan(
-        setup=setup,
-        method="joint",
-        groups=groups,
-        rank=bound.rank,
-        condition=bound.condition,
-        following=tuple(
+    errors = None if method == "joint" else PassErrors.of(setup, method)
+    if errors is None:
+        bound = state(setup)
+        groups = _groups_of(bound, setup)
+    else:
+        groups = []
+        for iteration in range(1, iterations + 1):
+            sources = {**errors.methodical(iteration), **errors.noise}
+            u = np.sqrt(np.sum([*sources.values()], axis=0))
+            groups += _planned_groups(NAMES, u, sources, setup, errors.estimators, iteration)
+    names = dict.fromkeys(row.group for row in groups if row.group in UNITS)
+    for group in wanted:
+        if group not in names:
+            raise InputError(f"wanted: expected some of {', '.join(names)}, found {group!r}")
+    found, missing = Plan(setup=setup, method=method, groups=tuple(groups), motion=motion), list[str]()
+    if errors is None:
+        counts = _positions_needed(wanted, setup, state, following, progress)
+        requirements = [_joint_requirement(group, w, setup, state, counts.get(group)) for group, w in wanted.items()]
+        undetermined = in_words(bound.null, bound.names)
+        if undetermined:
+            undetermined.sort(key=lambda text: [name not in text for name in bound.names])
+            missing.append(f"not determined: {', '.join(undetermined)}")
+        positions = tuple(
             replace(one, u={row.group: row.u for row in _groups_of(state(one.added(setup)), setup)})
             for one in following(setup, wanted)[:NEXT]
-        ),
-        requirements=requirements,
-        motion=motion,
-        reasons=(*missing, *(() if motion else _unfit(setup)), *(row.reason for row in requirements if row.reason)),
-    )
+        )
+        found = replace(found, rank=bound.rank, condition=bound.condition, following=positions)
+    else:
+        if wanted and max(setup.table_error, setup.mounting_error) == 0.0:  # equal tolerances
+            errors = PassErrors.of(replace(setup, table_error=DEGREE, mounting_error=DEGREE), errors.method)
+        requirements = [_paper_requirement(found.group(group), w, errors) for group, w in wanted.items()]
+        found = replace(found, remarks=tuple(remarks(setup)))
+    impossible = (row.reason for row in requirements if row.reason)
+    unfit = () if motion is not None else _unfit(setup)
+    return replace(found, requirements=tuple(requirements), reasons=(*missing, *unfit, *impossible))
 
 
 def largest_errors(setup: Setup) -> tuple[float, float]:
@@ -272,37 +281,52 @@ def _unfit(setup: Setup) -> tuple[str, ...]:
     return tuple(reasons)
 
 
-def _check_wanted(wanted: Mapping[str, float], groups: tuple[PlannedGroup, ...]) -> None:
-    """Raise InputError for a wanted group that is not calibrated."""
-    names = dict.fromkeys(row.group for row in groups if row.group in UNITS)
-    for group in wanted:
-        if group not in names:
-            raise InputError(f"wanted: expected some of {', '.join(names)}, found {group!r}")
+def _planned_groups(
+    names: Sequence[str],
+    u: Array,
+    sources: Mapping[str, Array],
+    setup: Setup,
+    estimators: Mapping[str, str] | None = None,
+    iteration: int = 1,
+) -> list[PlannedGroup]:
+    """Return the groups of parameters with u (m,), infinite if undetermined, and variances (m,) by source.
+
+    `estimators` are the groups that a method of the paper determines, and how."""
+    groups = list[PlannedGroup]()
+    for group, members in positions_by_group(names).items():
+        if group not in (estimators or {group}):
+            continue
+        rms = float(np.sqrt(np.mean(u[members] ** 2)))
+        variances = {name: float(np.mean(v[members])) for name, v in sources.items() if math.isfinite(rms)}
+        by_size = sorted(variances.items(), key=lambda item: -item[1])
+        groups.append(
+            PlannedGroup(
+                group=group,
+                unit=group_of(group).unit,
+                iteration=iteration,
+                estimator="maximum likelihood" if estimators is None else estimators[group],
+                u=rms,
+                spread=setup.further[group] if group in setup.further else spread_of(setup, group),
+                parameters={names[p]: float(u[p]) for p in members},
+                sources={name: math.sqrt(variance) for name, variance in by_size if variance > 0.0},
+            )
+        )
+    return groups
 
 
-def _by_size(variances: Mapping[str, float]) -> dict[str, float]:
-    """Return the u of the sources that contribute, the largest first."""
-    by_size = sorted(variances.items(), key=lambda item: -item[1])
-    return {name: math.sqrt(variance) for name, variance in by_size if variance > 0.0}
+def _impossible(row: Requirement, least: float, how: str, remedy: str) -> Requirement:
+    """Return a requirement with the reason why its accuracy is impossible; `least` is the u that is reached `how`."""
+    size, unit = engineering(row.unit, least)
+    found = f"{row.wanted / size:.3g} {unit}"
+    expected = f"an accuracy of at least {least / size:.3g} {unit}, which {how}"
+    return replace(row, reason=f"{row.group}: expected {expected}, found {found}; {remedy}")
 
 
 # The method joint
 
 
-def _groups_of(found: Bound, setup: Setup) -> Iterator[PlannedGroup]:
-    """Yield the groups of a bound with their sources."""
-    for group, members in positions_by_group(found.names).items():
-        is_observable = bool(np.all(found.observable[members]))
-        yield PlannedGroup(
-            group=group,
-            unit=found.units[members[0]],
-            iteration=1,
-            estimator="maximum likelihood",
-            u=found.rms(group),
-            spread=setup.further[group] if group in setup.further else spread_of(setup, group),
-            parameters={found.names[p]: float(found.u[p]) for p in members},
-            sources=_by_size({name: float(np.mean(v[members])) for name, v in found.sources.items() if is_observable}),
-        )
+def _groups_of(found: Bound, setup: Setup) -> list[PlannedGroup]:
+    return _planned_groups(found.names, found.u, found.sources, setup)
 
 
 def _positions_needed(
@@ -360,48 +384,13 @@ def _joint_requirement(
         return replace(row, reason=f"{group}: this programme does not determine it; take another one")
     best = replace(setup, rest=longest)
     cause = next(each.largest for each in _groups_of(state(best), best) if each.group == group)
-    size, unit = engineering(row.unit, tried[longest])
     remedies = {GRAVITY: "measure gravity", CLOCK: "state how good the time base is (clock_ppm_u)"}
-    reason = (
-        f"{group}: expected an accuracy of at least {tried[longest] / size:.3g} {unit}, which the method joint states "
-        f"with rests of {longest:.0f} s (mostly {cause}), and no {MOST_ADDED} more positions give, found "
-        f"{wanted / size:.3g} {unit}; {remedies.get(cause, 'average launches, or take a better grade')}"
-    )
-    return replace(row, reason=reason)
+    remedy = remedies.get(cause, "average launches, or take a better grade")
+    how = f"the method joint states with rests of {longest:.0f} s (mostly {cause}), and no {MOST_ADDED} more positions"
+    return _impossible(row, tried[longest], f"{how} give", remedy)
 
 
 # The methods of the paper
-
-
-def _plan_of_paper(setup: Setup, method: MethodOfPaper, iterations: int, wanted: Mapping[str, float]) -> Plan:
-    """Return the plan by the accuracy formulas of a method, for each of a number of passes."""
-    errors, groups = PassErrors.of(setup, method), []
-    for iteration in range(1, iterations + 1):
-        variances = {**errors.methodical(iteration), **errors.noise}
-        u = np.sqrt(sum(variances.values()))
-        for group in errors.groups:
-            of_group = errors.of_group(group, variances)
-            groups.append(
-                PlannedGroup(
-                    group=group,
-                    unit=UNITS[group],
-                    iteration=iteration,
-                    estimator=ESTIMATORS[method][group],
-                    u=math.sqrt(sum(of_group.values())),
-                    spread=spread_of(setup, group),
-                    parameters={NAMES[p]: float(u[p]) for p in MEMBERS[group]},
-                    sources=_by_size(of_group),
-                )
-            )
-    expected = Plan(
-        setup=setup, method=method, groups=tuple(groups), reasons=_unfit(setup), remarks=tuple(remarks(setup))
-    )
-    _check_wanted(wanted, expected.groups)
-    if wanted and max(setup.table_error, setup.mounting_error) == 0.0:  # equal tolerances
-        errors = PassErrors.of(replace(setup, table_error=DEGREE, mounting_error=DEGREE), method)
-    requirements = tuple(_paper_requirement(expected.group(g), value, errors) for g, value in wanted.items())
-    impossible = (row.reason for row in requirements if row.reason)
-    return replace(expected, requirements=requirements, reasons=(*expected.reasons, *impossible))
 
 
 _REMEDY: Mapping[str, str] = {
@@ -430,13 +419,8 @@ def _paper_requirement(planned: PlannedGroup, wanted: float, errors: PassErrors)
     row = Requirement(group=group, unit=planned.unit, wanted=wanted, u=planned.u)
     if free <= 0.0:
         cause = max(fixed, key=lambda name: fixed[name])
-        size, name = engineering(planned.unit, math.sqrt(least))
-        reason = (
-            f"{group}: expected an accuracy of at least {math.sqrt(least) / size:.3g} {name}, which an exact table and "
-            f"endless rests leave (mostly {cause}), found {wanted / size:.3g} {name}; "
-            f"{_REMEDY.get(cause, 'take another pass or method')}"
-        )
-        return replace(row, reason=reason)
+        remedy = _REMEDY.get(cause, "take another pass or method")
+        return _impossible(row, math.sqrt(least), f"an exact table and endless rests leave (mostly {cause})", remedy)
     permitted = (1.0 - REST_SHARE) * free if rest_noise > 0.0 else free
     rest = max(rest_noise / (REST_SHARE * free), least_rest(setup))
     largest = max(largest_errors(setup)) / max(setup.table_error, setup.mounting_error)

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from tumble.errors import CalibrationError
-from tumble.inference.estimate import Fit, Judgement, Outcome
-from tumble.result.parts import Evidence, Launch
+from tumble.inference.estimate import Judgement, Outcome
+from tumble.result.parts import Launch
 from tumble.result.record import AnyCalibration, CalibrationData
 from tumble.sensors.model import WORDS, SensorKind, SensorModel
-from tumble.sensors.parameters import sensor_kind
 
-_Value = TypeVar("_Value")
-
-_FITS: Mapping[SensorKind, tuple[str, ...]] = {
-    "accel": ("accelerometers", "velocities of turns"),
-    "gyro": ("gyro rests", "gyro turns"),
-}
+_NAMES = {"accel": ("accel", "velocities of turns"), "gyro": ("gyro",)}
+"""First words of the names of parameters, groups and fits of each kind of sensors."""
 
 
 def accepted_part(calibration: AnyCalibration) -> AnyCalibration:
@@ -35,59 +30,51 @@ def accepted_part(calibration: AnyCalibration) -> AnyCalibration:
             f"calibration of {calibration.serial!r}: expected an accepted one, found: "
             f"{'; '.join(calibration.outcome.reasons)}"
         )
-    kind = kinds[0]
-    other: SensorKind = "gyro" if kind == "accel" else "accel"
-    outcome, prediction = calibration.outcome, calibration.prediction
-    evidence, provenance = calibration.evidence, calibration.provenance
+    kind, other = (kinds[0], "gyro") if kinds[0] == "accel" else (kinds[0], "accel")
+    outcome, prediction, temperature = calibration.outcome, calibration.prediction, calibration.temperature
+    evidence, provenance, sentences = calibration.evidence, calibration.provenance, outcome.of(kind).remarks
     without: dict[str, Any] = {other: None}
-    kept, refused = (outcome.accel, outcome.gyro) if kind == "accel" else (outcome.gyro, outcome.accel)
 
-    def of_kind(by_kind: Mapping[str, _Value]) -> dict[str, _Value]:
-        return {name: value for name, value in by_kind.items() if name != other}
+    def of_kind(part: Any) -> Any:
+        """Return the elements of a mapping or tuple whose names are not those of the other kind."""
+        kept = [each for each in part if not getattr(each, "name", each).startswith(_NAMES[other])]
+        return {name: part[name] for name in kept} if isinstance(part, Mapping) else tuple(kept)
 
     def estimates(result: CalibrationData | Launch) -> dict[str, Any]:
-        kept = [i for i, p in enumerate(result.parameters) if sensor_kind(p.name) != other]
-        return {
-            "parameters": tuple(result.parameters[i] for i in kept),
-            "covariance": None if result.covariance is None else result.covariance[np.ix_(kept, kept)],
-        }
-
-    def fits(result: Evidence | Launch) -> dict[str, Fit]:
-        return {name: fit for name, fit in result.fits.items() if name not in _FITS[other]}
+        parameters, C = of_kind(result.parameters), result.covariance
+        places = [result.parameters.index(p) for p in parameters]
+        return {"parameters": parameters, "covariance": None if C is None else C[np.ix_(places, places)]}
 
     return replace(
         calibration,
         **estimates(calibration),
         **without,
         outcome=Outcome(
-            remarks=kept.remarks,
-            concerns={sentence: on for sentence, on in outcome.concerns.items() if sentence in kept.remarks},
-            unsteady=tuple(sentence for sentence in outcome.unsteady if sentence in kept.remarks),
-            unobservable=tuple(name for name in outcome.unobservable if sensor_kind(name) != other),
+            remarks=sentences,
+            concerns={sentence: on for sentence, on in outcome.concerns.items() if sentence in sentences},
+            unsteady=tuple(sentence for sentence in outcome.unsteady if sentence in sentences),
+            unobservable=of_kind(outcome.unobservable),
         ),
         evidence=replace(
             evidence,
-            fits=fits(evidence),
-            iterations=tuple(
-                {name: value for name, value in step.items() if sensor_kind(name) != other}
-                for step in evidence.iterations
-            ),
+            fits=of_kind(evidence.fits),
+            iterations=tuple(map(of_kind, evidence.iterations)),
             rests=tuple(replace(rest, **without) for rest in evidence.rests),
             turns=() if kind == "accel" else evidence.turns,
-            launches=tuple(replace(launch, **estimates(launch), fits=fits(launch)) for launch in evidence.launches),
+            launches=tuple(replace(x, **estimates(x), fits=of_kind(x.fits)) for x in evidence.launches),
         ),
         provenance=replace(
             provenance,
             readings=of_kind(provenance.readings),
-            absent=(f"{WORDS[other]} are absent, they were not accepted: {refused.reasons[0]}",),
+            absent=(f"{WORDS[other]} are absent, they were not accepted: {outcome.of(other).reasons[0]}",),
         ),
-        groups=tuple(group for group in calibration.groups if sensor_kind(group.name) != other),
+        groups=of_kind(calibration.groups),
         prediction=None if prediction is None or kind == "gyro" else replace(prediction, rate_u=None),
         device=replace(calibration.device, imu=of_kind(calibration.imu)),
         temperature=replace(
-            calibration.temperature,
-            references=of_kind(calibration.temperature.references),
-            thermometers=of_kind(calibration.temperature.thermometers),
+            temperature,
+            references=of_kind(temperature.references),
+            thermometers=of_kind(temperature.thermometers),
         ),
     )
 

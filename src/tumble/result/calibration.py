@@ -4,33 +4,19 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
-from functools import cache
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy.typing as npt
 
-from tumble.advice import advised
 from tumble.arguments import checked
-from tumble.documents import shown
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath, whole_file
 from tumble.result.correction import corrected_readings
-from tumble.result.coverage import with_degrees
-from tumble.result.file import (
-    KEYS,
-    adapter_of,
-    check_replaceable,
-    content_of,
-    file_record,
-    parsed,
-    text_of,
-)
+from tumble.result.file import calibration_of_text, check_replaceable, content_of, schema_of, text_of
 from tumble.result.frames import calibration_in
-from tumble.result.parts import Evidence, Provenance, check_result
 from tumble.result.record import CalibrationData
 from tumble.result.uncertainty_budget import BudgetLine, uncertainty_budget
 from tumble.units import Array
@@ -121,7 +107,8 @@ class Calibration(CalibrationData):
         k, dof, prior and learned."""
         import polars as pl
 
-        schema = {name: pl.String if name in ("name", "unit") else pl.Float64 for name in _COLUMNS}
+        columns = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof", "prior", "learned")
+        schema = {name: pl.String if name in ("name", "unit") else pl.Float64 for name in columns}
         return pl.DataFrame({name: [getattr(p, name) for p in self.parameters] for name in schema}, schema=schema)
 
     @checked
@@ -227,9 +214,6 @@ class Calibration(CalibrationData):
         return content_of(self)
 
 
-_COLUMNS = ("name", "value", "u", "unit", "deviation", "run_to_run", "k", "dof", "prior", "learned")
-
-
 @checked
 def read_calibration(path: FilePath) -> Calibration:
     """Read a calibration file.
@@ -275,68 +259,11 @@ def _views() -> Any:
     return import_module("tumble.views.calibration")
 
 
-def _check_sensors(calibration: Any) -> None:
-    """Raise ValueError if parts of the record of a file, named by their keys, have different numbers of sensors."""
-    launches = [(f"launches[{number}].rests", launch.rests) for number, launch in enumerate(calibration.launches, 1)]
-    temperature = calibration.temperature
-    for kind in ("accel", "gyro"):
-        model, readings = getattr(calibration, kind), calibration.readings.get(kind)
-        parts: dict[str, Any] = {
-            f"{kind}.bias": model and model.bias,
-            f"axes.{kind}": calibration.axes.get(kind),
-            f"readings.{kind}": readings and readings.columns,
-            f"temperature.thermometers.{kind}": temperature.thermometers.get(kind),
-            f"temperature.references.{kind}": temperature.references.get(kind),
-        }
-        for place, rests in (("rests", calibration.rests), *launches):
-            for number, rest in enumerate(rests, 1):
-                sensors = getattr(rest, kind)
-                parts[f"{place}[{number}].{kind}"] = sensors and sensors.mean
-        counts = {key: len(part) for key, part in parts.items() if part is not None}
-        first = next(iter(counts), "")
-        for key, found in counts.items():
-            if found != counts[first]:
-                raise ValueError(f"{key}: expected {counts[first]} sensors, as {first} has, found {found}")
-
-
 def calibration_of(text: str, name: str) -> Calibration:
     """Return the calibration from the text of a file, named `name` in messages."""
-    return parsed(_file_record(), text, name, _calibration_of_record)
-
-
-@cache
-def _file_record() -> type:
-    return file_record(Calibration, Evidence, Provenance)
+    return calibration_of_text(Calibration, text, name)
 
 
 def json_schema() -> dict[str, Any]:
     """Return the JSON Schema of a calibration file."""
-    return adapter_of(_file_record()).json_schema()
-
-
-def _calibration_of_record(read: Any) -> Calibration:
-    _check_sensors(check_result(read))
-    flat = {key: getattr(read, key) for key in KEYS}
-    flat["parameters"] = with_degrees(read.parameters, read.fits)
-    flat["launches"] = tuple(replace(x, parameters=with_degrees(x.parameters, x.fits)) for x in read.launches)
-
-    def part(record: type, values: Mapping[str, Any]) -> dict[str, Any]:
-        return {f.name: values[f.name] for f in fields(record) if f.name in values}
-
-    def with_remedies(sentences: Iterable[str]) -> Iterator[str]:
-        for each in sentences:
-            remedy = read.remedies.get(each, "")
-            if not each.endswith(remedy):
-                raise ValueError(f"remedies: expected the end of {shown(each)}, found {shown(remedy)}")
-            yield advised(each.removesuffix(f"; {remedy}"), remedy)
-
-    flat |= {key: tuple(with_remedies(flat[key])) for key in ("notes", "assumptions")}
-    reasons, remarks = (tuple(with_remedies(each)) for each in (read.outcome.reasons, read.outcome.remarks))
-    flat["outcome"] = replace(read.outcome, reasons=reasons, remarks=remarks)
-    return Calibration(
-        **part(Calibration, flat)
-        | {
-            "evidence": Evidence(**part(Evidence, flat)),
-            "provenance": Provenance(**part(Provenance, read.provenance | flat)),
-        }
-    )
+    return schema_of(Calibration)

@@ -254,15 +254,12 @@ def corrected_readings(
                 f"found an array of shape {numbers.shape}"
             )
         readings[kind] = numbers
-    shape, interval = readings["accel"].shape[:-1], np.ones(1)
-    if dt is not None:  # one interval per sample, or one for all
-        intervals = numbers_of("dt", dt)
-        if intervals.shape not in ((), shape):
-            raise InputError(f"dt: expected a number for each sample, {shape}, found the shape {intervals.shape}")
-        if not (intervals > 0.0).all():
-            raise InputError(f"dt: expected intervals above 0 s, found {intervals.min():g}")
-        interval = np.ravel(np.broadcast_to(intervals, shape))[:, None]
-    celsius = given_temperatures(temperature, compensator, shape)
+    shape, interval = readings["accel"].shape[:-1], np.ones((1, 1))
+    if dt is not None:
+        interval = _by_sample("dt", dt, shape)
+        if not (interval > 0.0).all():
+            raise InputError(f"dt: expected intervals above 0 s, found {interval.min():g}")
+    celsius = _temperatures(temperature, compensator, shape)
     force = compensator.force(readings["accel"].reshape(-1, compensator.accel.size) / interval, celsius["accel"])
     corrected = np.full((*shape, 3), np.nan) if calibration.accel is None else (force * interval).reshape(*shape, 3)
     if gyro is None:
@@ -276,31 +273,34 @@ def corrected_readings(
     return corrected, rate.reshape(*rates.shape[:-1], 3)
 
 
-def given_temperatures(
+def _by_sample(what: str, given: npt.ArrayLike, shape: tuple[int, ...], sensors: int | None = None) -> Array:
+    """Return numbers (N, 1) or (N, n) of N samples of a shape (...), given for all, for each, or for each of n sensors.
+
+    Raises InputError for other shapes."""
+    numbers = numbers_of(what, given)
+    if numbers.shape in ((), shape):
+        numbers = np.broadcast_to(numbers, shape)[..., None]
+    elif sensors is None or numbers.shape != (*shape, sensors):
+        raise InputError(f"{what}: expected a number for each sample, {shape}, found the shape {numbers.shape}")
+    return numbers.reshape(-1, numbers.shape[-1])
+
+
+def _temperatures(
     given: Temperatures | None, compensator: Compensator, shape: tuple[int, ...]
 ) -> dict[str, Array | None]:
-    """Return the temperatures (N, n) or (N, 1), °C, of "accel" and "gyro" for samples of a shape (...), N in all.
+    """Return the temperatures (N, n) or (N, 1), °C, of "accel" and "gyro" from those in K, for all sensors or by kind.
 
-    `temperature` is in K, (...) for all sensors, or by kind, (...) or (..., n). Raises InputError for other shapes, and
-    for one thermometer if the calibration has several."""
-
-    def by_sample(what: str, kelvin: npt.ArrayLike, sensors: int) -> Array:
-        numbers = numbers_of(what, kelvin)
-        if numbers.shape in ((), shape):
-            numbers = np.broadcast_to(numbers, shape)[..., None]
-        elif numbers.shape != (*shape, sensors):
-            raise InputError(f"{what}: expected a number for each sample, {shape}, found the shape {numbers.shape}")
-        return celsius_of(numbers.reshape(-1, numbers.shape[-1]))
-
+    Raises InputError for one thermometer if the calibration has several."""
     sizes = {block.kind: block.size for block in (compensator.accel, compensator.gyro) if block is not None}
     if given is None:
         return dict.fromkeys(sizes)
     if isinstance(given, Mapping):
         check_kinds(given, sizes)
-        return {kind: by_sample(f"temperature of {kind}", given[kind], n) for kind, n in sizes.items()}
+        by_kind = ((kind, _by_sample(f"temperature of {kind}", given[kind], shape, n)) for kind, n in sizes.items())
+        return {kind: celsius_of(kelvin) for kind, kelvin in by_kind}
     if compensator.several_thermometers:
         raise InputError(
             "temperature: expected those of the thermometers of the calibration by kind of sensors, "
             f"{{{', '.join(f'{kind!r}: …' for kind in sizes)}}}, found one array"
         )
-    return dict.fromkeys(sizes, by_sample("temperature", given, 1))
+    return dict.fromkeys(sizes, celsius_of(_by_sample("temperature", given, shape, 1)))

@@ -1,23 +1,49 @@
-"""Summaries of a calibration in words and numbers, for terminal, notebook and report."""
+"""Summaries of a calibration in words and numbers, for terminal, notebook and report.
+
+Among these are the errors of tilt, heading and position of a vehicle without aid, before and after calibration
+(`unaided`). The vehicle stands with one axis of the body up, levels itself by its accelerometers, turns to any heading,
+and is then navigated by its inertial sensors alone for a time t, without turning. To first order the horizontal errors
+are
+
+    tilt      φ = f/g + ω t                                                                                      (1)
+    heading   ψ = ω_u t                                                                                          (2)
+    position  r = ½ (f + g f/g) t² + g ω t³/6                                                                    (3)
+
+f is the horizontal error of the specific force at rest, and ω and ω_u are the errors of the rate about the horizontal
+axes and the vertical. Levelling tilts the attitude by f/g; at that heading the component of gravity added by the tilt
+cancels f. In the turn f turns with the body but the tilt does not: over all headings the two are uncorrelated and add
+in quadrature. The drift ω t adds the acceleration g ω t, integrated twice in (3).
+
+With the biases b and the axis angles α of the accelerometers, and the gyro biases β, over all three axes up or down,
+
+    f² = (2/3) Σ b² + (g²/3) Σ α²,   ω² = (2/3) Σ β²,   ω_u² = (1/3) Σ β²                                        (4)
+
+summed over both horizontal axes. Before calibration the squares are those of the parameters themselves, after it their
+variances in the next recording, with in-run bias and, where known, changes from launch to launch. Noise, errors of
+scale factors (which need motion) and products of the Earth's rate and gyro errors are neglected.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from math import inf, sqrt
+from dataclasses import dataclass
+from math import hypot, inf, sqrt
 
 import numpy as np
 import scipy
 
 from tumble.inference.estimate import Fit
 from tumble.inference.prediction import Prediction
+from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration
 from tumble.result.correction import correction_errors
 from tumble.result.coverage import notes_without_expanded
 from tumble.result.parts import Evidence, Launch, Parameter
-from tumble.sensors.model import WORDS
+from tumble.rotation import left_inverse
+from tumble.sensors.model import WORDS, SensorKind
 from tumble.sensors.parameters import beyond_linear, group_name, named_group, sensor_kind
-from tumble.units import Array, engineering, two_digits
+from tumble.units import DEGREE, G_STANDARD, Array, coarsest, engineering, two_digits
 
 BY_PRIOR = 0.5  # learned fraction below which the prior determines a parameter rather than the data
 OPEN_BIAS_RATIO = 2.0  # u of a single bias to that of the corrected force, above which a prior decides the bias
@@ -29,6 +55,11 @@ _NAME = re.compile(
     r"(?P<kind>accel|gyro|mag)\.(?:axis\.(?P<pair>[xyz]{2})|(?P<what>bias|scale|axis)\."
     r"(?:(?P<letter>[xyz])|(?P<number>\d+))(?:\.(?P<angle>[12]))?)"
 )
+SECONDS = 60.0  # without aid
+_FORCES = ((1e-6 * G_STANDARD, " µg"), (1e-3 * G_STANDARD, " mg"))
+_PARTS = ((1e-6, " ppm"), (1e-2, " %"))
+_ANGLES = ((DEGREE / 3600.0, "″"), (DEGREE / 60.0, "′"), (DEGREE, "°"))
+_LENGTHS = ((1e-2, " cm"), (1.0, " m"), (1e3, " km"))
 
 
 def parameter_words(name: str) -> str:
@@ -64,14 +95,16 @@ def by_group(parameters: Iterable[Parameter]) -> dict[str, list[Parameter]]:
 
 def prediction_text(prediction: Prediction) -> str:
     """Return a sentence with the uncertainty of corrected readings."""
-    size, unit = engineering("m/s^2", prediction.force_u)
-    sentence = f"corrected specific force at 1 g: u {two_digits(prediction.force_u / size)} {unit}"
+    sentence = f"corrected specific force at 1 g: u {_quantity('m/s^2', prediction.force_u)}"
     if prediction.rate_u is None or prediction.at_rate is None:
         return sentence
-    size, unit = engineering("rad/s", prediction.rate_u)
-    turned, per = engineering("rad/s", prediction.at_rate)
-    rate, u = two_digits(prediction.at_rate / turned), two_digits(prediction.rate_u / size)
-    return f"{sentence}; corrected rate at {rate} {per}: u {u} {unit}"
+    rate, u = (_quantity("rad/s", each) for each in (prediction.at_rate, prediction.rate_u))
+    return f"{sentence}; corrected rate at {rate}: u {u}"
+
+
+def _quantity(unit: str, value: float) -> str:
+    size, name = engineering(unit, value)
+    return f"{two_digits(value / size)} {name}"
 
 
 def decided_by_priors(calibration: Calibration) -> str | None:
@@ -157,14 +190,13 @@ def linear_errors_text(calibration: Calibration) -> str:
 
     def shown(unit: str, errors: Array) -> str:
         size, per = engineering(unit, float(errors.max()))
-        rms = float(np.sqrt(np.mean(errors**2)))
-        return f"up to {two_digits(float(errors.max()) / size)} {per} (rms {two_digits(rms / size)} {per})"
+        rms = two_digits(float(np.sqrt(np.mean(errors**2))) / size)
+        return f"up to {_quantity(unit, float(errors.max()))} (rms {rms} {per})"
 
     sentence = f"with matrix and bias alone: off by {shown('m/s^2', force)} at 1 g"
     if at_rate is None:
         return sentence
-    size, per = engineering("rad/s", at_rate)
-    return f"{sentence}, and by {shown('rad/s', rate)} at {two_digits(at_rate / size)} {per} in 1 g"
+    return f"{sentence}, and by {shown('rad/s', rate)} at {_quantity('rad/s', at_rate)} in 1 g"
 
 
 def remarks(calibration: Calibration) -> tuple[str, ...]:
@@ -190,3 +222,94 @@ def remarks(calibration: Calibration) -> tuple[str, ...]:
                 "undetected"
             )
     return tuple(sentences)
+
+
+@dataclass(frozen=True, kw_only=True, slots=True)
+class Unaided:
+    """Root mean square errors: `tilt` about both horizontal axes and `heading`, rad, and horizontal `position`, m."""
+
+    tilt: float
+    heading: float
+    position: float
+
+
+def unaided(calibration: Calibration, seconds: float = SECONDS) -> tuple[Unaided, Unaided] | None:
+    """Return the errors of a vehicle without aid for some seconds, before and after calibration.
+
+    None if the calibration lacks accelerometers, gyros, uncertainties, biases or axis angles, or has more than three
+    sensors of a kind."""
+    accel, gyro, site = calibration.accel, calibration.gyro, calibration.provenance.site
+    if accel is None or gyro is None or len(accel.bias) != 3 or len(gyro.bias) != 3:
+        return None
+    gravity = G_STANDARD if site is None else site.gravity
+    next_u = {bias.name: bias.next_u for bias in calibration.evidence.process_bias}
+    before, after = dict[str, float](), dict[str, float]()
+    for p in calibration.parameters:
+        if beyond_linear(p.name):
+            continue
+        if p.u is None:
+            return None
+        group = group_name(p.name)
+        variance = max(p.u, next_u.get(p.name, 0.0)) ** 2 + (p.run_to_run or 0.0) ** 2
+        before[group] = before.get(group, 0.0) + p.value**2
+        after[group] = after.get(group, 0.0) + variance
+    if not {"accel.bias", "accel.axis", "gyro.bias"} <= before.keys():
+        return None
+    results = []
+    for squares in (before, after):  # Eq. (4), and (1) to (3)
+        force = sqrt(2.0 / 3.0 * squares["accel.bias"] + gravity**2 / 3.0 * squares["accel.axis"])
+        rate_up = sqrt(squares["gyro.bias"] / 3.0)
+        rate = sqrt(2.0) * rate_up
+        results.append(
+            Unaided(
+                tilt=hypot(force / gravity, rate * seconds),
+                heading=rate_up * seconds,
+                position=hypot(sqrt(0.5) * force * seconds**2, gravity * rate * seconds**3 / 6.0),
+            )
+        )
+    return results[0], results[1]
+
+
+def improvement(calibration: Calibration) -> tuple[str, ...]:
+    """Return up to two sentences on what the calibration improves: errors of readings, and of a vehicle without aid.
+
+    After calibration the error of a reading is its standard uncertainty, before it also the correction, root mean
+    square over all attitudes at rest or over all axes at the rate of the session's turns. Sensors that are not accepted
+    are left out."""
+    prediction, accepted, clauses = calibration.prediction, accepted_kinds(calibration), list[str]()
+    if prediction is not None and "accel" in accepted:
+        before, after = _off_by(calibration, "accel", prediction.force_u)
+        open_angles = any(group_name(name) == "accel.axis" for name in calibration.outcome.unobservable)
+        why = " (these rests do not determine the axis angles)" if open_angles else ""
+        clauses.append(f"at rest off by {_change(before, after, _FORCES, 0.01)}{why}")
+    if prediction is not None and prediction.rate_u is not None and prediction.at_rate and "gyro" in accepted:
+        before, after = _off_by(calibration, "gyro", prediction.rate_u)
+        rate = prediction.at_rate
+        clauses.append(
+            f"rates off by {_change(before / rate, after / rate, _PARTS, 0.01)} of {two_digits(rate / DEGREE)} °/s"
+        )
+    lines = ["; ".join(clauses)] if clauses else []
+    if (before_and_after := unaided(calibration)) is not None and len(accepted) == len(before_and_after):
+        errors = (("tilt", _ANGLES), ("heading", _ANGLES), ("position", _LENGTHS))
+        first, last = before_and_after
+        changes = (f"{name} {_change(getattr(first, name), getattr(last, name), units)}" for name, units in errors)
+        lines.append(f"after {SECONDS:.0f} s without aid: {', '.join(changes)}")
+    return tuple(lines)
+
+
+def _change(corrected: float, remaining: float, units: Sequence[tuple[float, str]], limit: float = 1.0) -> str:
+    """Return both errors with an arrow between, each in the largest unit in which it is at least `limit`.
+
+    The error before calibration contains the correction and the remaining error."""
+    shown = ((value, *coarsest(units, value, limit=limit)) for value in (hypot(corrected, remaining), remaining))
+    return " → ".join(f"{two_digits(value / size)}{name}" for value, size, name in shown)
+
+
+def _off_by(calibration: Calibration, kind: SensorKind, u: float) -> tuple[float, float]:
+    """Return the root mean square error of uncorrected vectors, and the standard uncertainty of corrected vectors if
+    that of each sensor is u, SI."""
+    block, _ = calibration.compensator.sensors(kind)
+    assert block is not None
+    nominal = left_inverse(block.axes)
+    off = correction_errors(calibration, kind, lambda readings: readings @ nominal.T)
+    return float(np.sqrt(np.mean(off**2))), u * float(np.linalg.norm(nominal))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import pairwise
 from math import erfc, inf, isfinite, sqrt
 from typing import Annotated, Any, Protocol
@@ -19,7 +19,7 @@ from pydantic import AfterValidator, Field, GetCoreSchemaHandler
 from pydantic_core import core_schema
 
 from tumble.documents import shown
-from tumble.inference.estimate import Fit, HyperparameterEstimate, Integral, Outcome, ProcessBias
+from tumble.inference.estimate import Fit, HyperparameterEstimate, Integral, ProcessBias
 from tumble.inference.sources import Source
 from tumble.recording.session import UNKNOWN, AutopilotSensor, Circumstances, IsoDate, Site, check_name, sensors_from
 from tumble.recording.session.document import ImuTable
@@ -242,37 +242,6 @@ def _model_of(table: SensorTable) -> SensorModel:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class JudgementTable:
-    """Verdict on a kind of sensors or a group of parameters, with its sentences."""
-
-    verdict: Any = None
-    reasons: tuple[str, ...]
-    remarks: tuple[str, ...]
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
-class OutcomeTable:
-    """Verdict on a calibration, with the kinds of sensors and groups of parameters that each sentence concerns.
-
-    The judgements on accelerometers, gyros and groups follow from these; the file has them for other programs."""
-
-    accepted: Any = None
-    verdict: str | None = None
-    reasons: tuple[str, ...]
-    remarks: tuple[str, ...] = ()
-    unobservable: tuple[str, ...] = ()
-    concerns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    unsteady: tuple[str, ...] = ()
-    accel: JudgementTable | None = None
-    gyro: JudgementTable | None = None
-    groups: Mapping[str, JudgementTable] = field(default_factory=dict)
-
-
-def _outcome_of(table: OutcomeTable) -> Outcome:
-    return Outcome(**{each.name: getattr(table, each.name) for each in fields(Outcome)})
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class IncrementTable:
     """Increment of a parameter in an iteration."""
 
@@ -304,7 +273,6 @@ def _square(rows: tuple[tuple[float, ...], ...]) -> Array:
 
 
 ModelFromTable = Annotated[SensorModel, FromTable(table=SensorTable, read=_model_of)]
-OutcomeFromTable = Annotated[Outcome, FromTable(table=OutcomeTable, read=_outcome_of)]
 Increments = Annotated[
     Mapping[str, float],
     FromTable(table=IterationTable, read=lambda step: {p.name: p.increment for p in step.parameters}),

@@ -9,13 +9,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import Annotated, TypeVar
+from typing import Annotated, ClassVar, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, ConfigDict, Field
 
 from tumble.errors import CalibrationError, InputError, did_you_mean
-from tumble.inference.estimate import GroupFinding
+from tumble.inference.estimate import GroupFinding, Outcome
 from tumble.inference.prediction import Prediction
 from tumble.recording.session import AutopilotSensor
 from tumble.result.parts import (
@@ -27,7 +27,6 @@ from tumble.result.parts import (
     Launch,
     ModelFromTable,
     Name,
-    OutcomeFromTable,
     Parameter,
     Parameters,
     Provenance,
@@ -55,6 +54,8 @@ SensingAxes = tuple[_Direction, ...]
 class CalibrationData(Mapping[str, Parameter]):
     """Fields of a calibration, see `Calibration`."""
 
+    __pydantic_config__: ClassVar = ConfigDict(extra="ignore", strict=True, allow_inf_nan=False)
+
     device: CalibratedDevice
     method: Name
     frame: Name
@@ -63,7 +64,7 @@ class CalibrationData(Mapping[str, Parameter]):
     accel: ModelFromTable | None
     gyro: ModelFromTable | None
     mag: ModelFromTable | None = None
-    outcome: OutcomeFromTable
+    outcome: Outcome
     groups: Annotated[
         tuple[Annotated[GroupFinding, checked_sizes("prior", "prior_widened")], ...], Field(max_length=MOST_PARAMETERS)
     ] = ()
@@ -114,8 +115,8 @@ class CalibrationData(Mapping[str, Parameter]):
     @property
     def temperature_range(self) -> tuple[float, float] | None:
         """Lowest and highest temperature, °C, of every sensor in the rests of all launches; None if not known."""
-        rests = chain(self.evidence.rests, *(launch.rests for launch in self.evidence.launches))
-        by_sensor = list(zip(*(rest.temperatures for rest in rests if rest.temperature is not None), strict=False))
+        temperatures = (rest.temperatures for rest in self.evidence.all_rests if rest.temperature is not None)
+        by_sensor = list(zip(*temperatures, strict=False))
         if not by_sensor:
             return self.temperature.range
         low, high = max(map(min, by_sensor)), min(map(max, by_sensor))

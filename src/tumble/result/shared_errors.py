@@ -30,27 +30,19 @@ GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "what only priors say"
 def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Array, Array]]:
     """Return, by source, the changes of the parameters of the first (m₁, k) and the second (m₂, k) calibration by one
     standard uncertainty of each of k shared errors."""
-    changes_by_source = {}
+    both, changes_by_source = (first, second), {}
     if shared_gravity(first.provenance.site, second.provenance.site):
-        ours, theirs = (
-            gravity_sensitivity(each.parameters, each.covariance, each.provenance.site)[:, None]
-            for each in (first, second)
-        )
-        changes_by_source[GRAVITY] = (ours, theirs)
+        changes_by_source[GRAVITY] = [
+            gravity_sensitivity(each.parameters, each.covariance, each.provenance.site)[:, None] for each in both
+        ]
     if first.serial == second.serial:
         if first.provenance.clock_u == second.provenance.clock_u > 0.0:
-            changes_by_source[TIME_BASE] = (
-                time_base_sensitivity(first)[:, None],
-                time_base_sensitivity(second)[:, None],
-            )
-        by_ours, by_theirs = (
-            prior_sensitivities(each.parameters, each.covariance, each.evidence.budget) for each in (first, second)
-        )
-        names = [name for name in by_ours if name in by_theirs]
+            changes_by_source[TIME_BASE] = [time_base_sensitivity(each)[:, None] for each in both]
+        by_prior = [prior_sensitivities(each.parameters, each.covariance, each.evidence.budget) for each in both]
+        names = [name for name in by_prior[0] if name in by_prior[1]]
         if names:
-            ours, theirs = (np.stack([each[name] for name in names], axis=1) for each in (by_ours, by_theirs))
-            changes_by_source[PRIORS] = (ours, theirs)
-    return {source: changes for source, changes in changes_by_source.items() if changes[0].any() and changes[1].any()}
+            changes_by_source[PRIORS] = [np.stack([each[name] for name in names], axis=1) for each in by_prior]
+    return {source: (a, b) for source, (a, b) in changes_by_source.items() if a.any() and b.any()}
 
 
 def prior_sensitivities(

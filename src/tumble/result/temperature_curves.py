@@ -24,8 +24,7 @@ _LEAST_SPAN = 0.05  # K, least span of temperatures of rests that determines coe
 
 def rests_with_temperature(calibration: CalibrationData) -> list[RestResult]:
     """Return the rests of all launches that have a temperature."""
-    rests = chain(calibration.evidence.rests, *(launch.rests for launch in calibration.evidence.launches))
-    return [rest for rest in rests if rest.temperature is not None]
+    return [rest for rest in calibration.evidence.all_rests if rest.temperature is not None]
 
 
 def temperature_of(rest: RestResult, kind: str) -> float:

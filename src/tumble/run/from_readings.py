@@ -2,7 +2,7 @@
 
 The rows are the mean readings of rests, in the order and at the pace of an operator's sheet; the estimate is that of
 the method `ellipsoid`. Its u contains quadratic and cubic terms, asymmetry and drift of the sizes usual for the grade,
-or for any grade if none is stated, as far as the residuals allow (`tumble.methods.group_sizes`). `paper_form` converts
+or for any grade if none is stated, as far as the residuals allow (`tumble.methods.ellipsoid`). `paper_form` converts
 the result to the form of the source: k in output per g, the angles θ of an upper triangular matrix, and the bias b
 referred to the input,
 
@@ -31,9 +31,8 @@ from tumble.errors import InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
 from tumble.inference.joint import joint
-from tumble.methods.ellipsoid import estimate_of
+from tumble.methods.ellipsoid import estimate_of, with_groups
 from tumble.methods.ellipsoid_fit import TRIAD, EllipsoidFit, fit_ellipsoid
-from tumble.methods.group_sizes import with_groups
 from tumble.recording.session import Site
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration

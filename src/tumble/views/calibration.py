@@ -30,13 +30,13 @@ from tumble.result.further import (
     decided_by_priors,
     further_parameters,
     has_other_factors,
+    improvement,
     linear_parameters,
     prediction_text,
     rest_summary,
     verdicts,
 )
 from tumble.result.parts import Parameter
-from tumble.result.unaided import improvement
 from tumble.run.calibrate import ITERATED_METHODS, UNSTATED
 from tumble.sensors.parameters import group_name, named_group, shown_in, within_group
 from tumble.units import Array, engineering

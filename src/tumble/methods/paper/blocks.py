@@ -65,12 +65,9 @@ def parameters_of(block: Block, model: SensorModel) -> Array:
         bias, scale, angles = triad_parameters(model)
         angles = angles if block.kind == "gyro" else angles[..., ACCEL_ANGLES]
         return np.concatenate([block.axes.sum(axis=0) * bias, scale, angles], axis=-1)
-    gain = np.linalg.norm(model.matrix, axis=-1)
-    across = np.cross(block.axes, model.matrix / gain[..., None])
-    sine = np.linalg.norm(across, axis=-1, keepdims=True)
-    angle = np.arcsin(np.minimum(sine, 1.0)) / np.where(sine > 0.0, sine, 1.0)
-    angles = np.einsum("...pk,pkj->...j", np.where(sine > 0.0, angle, 1.0) * across, axis_rotations(block))
-    return np.concatenate([model.bias, gain - 1.0, angles], axis=-1)
+    units = zip(model.matrix.reshape(-1, block.size, 3), model.bias.reshape(-1, block.size), strict=True)
+    values = [block.parameters(SensorModel(matrix=matrix, bias=bias)) for matrix, bias in units]
+    return np.reshape(values, (*model.bias.shape[:-1], len(block.names)))
 
 
 def turned_axes(block: Block, angles: Array) -> Array:

@@ -21,8 +21,9 @@ Source: Vodicheva & Parysheva 2019, the turntable paper, §2 to §6.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 
@@ -96,10 +97,10 @@ class ProgrammeCourse:
     """Rests and turns of a session by its programme."""
 
     nominal: Array  # (N, 3): verticals of the programme in the body
-    series: tuple[Series, ...]  # of recorded turns
-    duration: Array  # (K,), of all turns, s
-    earth_rate: Array  # (3,), in N, U, E
-    matrix: Array | None  # of the programme; None to use that of the recorded turns
+    series: tuple[Series, ...] = ()  # of recorded turns
+    duration: Array = field(default_factory=lambda: np.empty(0))  # (K,), of all turns, s
+    earth_rate: Array = field(default_factory=lambda: np.zeros(3))  # in N, U, E
+    matrix: Array | None = None  # of the programme; None to use that of the recorded turns
     accel: Block = TRIAD
     gyro: Block = GYRO_TRIAD
 
@@ -154,7 +155,7 @@ def one_pass(
     y = horizontal_differences(course.series, attitude, force, turn(gyro), course.duration, course.earth_rate)
     x = solve_least_squares(matrix, y)
     sensitivity = axes @ triad_model(np.zeros_like(x[..., :3]), x[..., :3], x[..., 3:]).matrix
-    if integral is not None:
+    if integral is not None and integral.shape[-2]:
         unbiased = integral - course.duration[:, None] * gyro.bias[..., None, :]
         scaled = compensate(replace(gyro, bias=np.zeros_like(gyro.bias)), unbiased, axes)
         sensitivity = sensitivity + spare_sensitivities(scaled, axes)
@@ -172,10 +173,10 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
             f"method {method.name}: expected a programme with known positions and turns, such as rough-table, "
             "found none; give [programme] in session.toml or take the method joint"
         )
-    accel, gyro, triads = observations.accel_block, observations.gyro_block, True
-    for block in (accel, gyro):
-        triads = triads and (block is None or block.triad)
-        if block is not None and not block.triad and not method.any_axes:
+    accel, gyro, latitude = observations.accel_block, observations.gyro_block, observations.site.latitude
+    blocks = [block for block in (accel, gyro) if block is not None]
+    for block in blocks:
+        if not block.triad and not method.any_axes:
             raise InputError(
                 f"method {method.name}: expected three sensors of a kind along the body axes, found {block.size} "
                 f"({block.kind}) with other directions; take the method sequential or joint"
@@ -183,26 +184,22 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
     nominal = np.array([programme.positions[k].vertical_b for k in position])
     method.check(nominal, accel)
     if gyro is None:
-        no_turns, no_matrix = np.empty(0), np.empty((0, 9))
-        return ProgrammeCourse(
-            nominal=nominal, series=(), duration=no_turns, earth_rate=np.zeros(3), matrix=no_matrix, accel=accel
-        )
-    vertical = along_vertical(nominal, sensing_axes(gyro))
-    if not vertical.any(axis=0).all():
-        lying = ", ".join(
-            f"gyro {name}" for name, found in zip(gyro.sensors, vertical.T, strict=True) if not found.any()
-        )
+        return ProgrammeCourse(nominal=nominal, accel=accel)
+    vertical: list[bool] = np.any(along_vertical(nominal, sensing_axes(gyro)), axis=0).tolist()
+    if not all(vertical):
+        lying = ", ".join(f"gyro {name}" for name, found in zip(gyro.sensors, vertical, strict=True) if not found)
         raise ProgrammeError(
             f"method {method.name}: expected rests in which every gyro is vertical, found none for {lying} in the "
             "programme; take the programme rough-table for sensors along X, Y and Z, or the method joint"
         )
-    turns, latitude = observations.turns, observations.site.latitude
-    if triads:
+    turns, matrix = observations.turns, None
+    first, last = ([], []) if turns is None else (turns.first.tolist(), turns.last.tolist())
+    series: tuple[Series, ...] = tuple(
+        (RecordedTurn(turn=k, first=a, last=b, counts=True),) for k, (a, b) in enumerate(zip(first, last, strict=True))
+    )
+    if all(block.triad for block in blocks):
         check_directions(programme)
-        series = _series(programme, position, [] if turns is None else turns.first.tolist())
-    else:
-        joined = [] if turns is None else zip(turns.first.tolist(), turns.last.tolist(), strict=True)
-        series = tuple((RecordedTurn(turn=k, first=a, last=b, counts=True),) for k, (a, b) in enumerate(joined))
+        series, matrix = _series(programme, position, first), programme_matrix(programme)[0]
     if latitude is None:
         raise SessionError(
             f"[site]: expected latitude_deg, from which the method {method.name} has the Earth's rate, found none; "
@@ -213,7 +210,7 @@ def course_of(observations: Observations, method: PaperMethod) -> ProgrammeCours
         series=series,
         duration=np.empty(0) if turns is None else turns.duration,
         earth_rate=np.array(earth_rate(latitude)),
-        matrix=programme_matrix(programme)[0] if triads else None,
+        matrix=matrix,
         accel=accel,
         gyro=gyro,
     )
@@ -284,59 +281,47 @@ class _Turned:
 class _SessionData:
     """A session as a vector of data and a vector of values, both with leading axes for many at once.
 
-    The data are the mean readings (`to_sensors`), the errors of the turns, the integrals over them of the readings of
-    more than three gyros, and gravity. The values are the parameters of the blocks."""
+    The data are the mean readings of accelerometers and of gyros (`to_sensors`), the errors of the turns, the integrals
+    over them of the readings of more than three gyros, and gravity, which have these `shapes`. The values are the
+    parameters of the blocks."""
 
     observations: Observations
     method: PaperMethod
     course: ProgrammeCourse
-    data: Array
+    blocks: tuple[Block, ...]
+    shapes: tuple[tuple[int, ...], ...]
+    data: Array  # (d,)
+    steps: Array  # (d + m,): of the central differences, of data and values
 
     @staticmethod
     def of(observations: Observations, method: PaperMethod) -> _SessionData:
-        course = course_of(observations, method)
-        rests, block, integrals = observations.rests, observations.gyro_block, observations.turn_readings
-        parts = [(rests.accel @ to_sensors(observations.accel_block)).ravel()]
-        if block is not None:
-            parts += [(rests.gyro @ to_sensors(block)).ravel(), np.zeros(3 * len(course.duration))]
-            parts += [] if integrals is None else [integrals.integral.ravel()]
-        parts.append(np.array([observations.site.gravity]))
-        return _SessionData(observations=observations, method=method, course=course, data=np.concatenate(parts))
+        course, rests, integrals = course_of(observations, method), observations.rests, observations.turn_readings
+        blocks = tuple(b for b in (observations.accel_block, observations.gyro_block) if b is not None)
+        parts = [getattr(rests, block.kind) @ to_sensors(block) for block in blocks]
+        parts += [np.empty((0, 3))] * (2 - len(blocks)) + [np.zeros((len(course.duration), 3))]
+        parts += [np.empty((0, 3)) if integrals is None else integrals.integral, np.array([observations.site.gravity])]
+        of_data = np.repeat([1e-5, 1e-9, 1e-6, 1e-6, 1e-5], [part.size for part in parts])
+        groups = [group_name(name) for block in blocks for name in block.names]
+        of_values = [{"accel.bias": 1e-5, "gyro.bias": 1e-9}.get(group, 1e-6) for group in groups]
+        return _SessionData(
+            observations=observations,
+            method=method,
+            course=course,
+            blocks=blocks,
+            shapes=tuple(part.shape for part in parts),
+            data=np.concatenate([part.ravel() for part in parts]),
+            steps=np.append(of_data, of_values),
+        )
 
     @property
-    def blocks(self) -> tuple[Block, ...]:
-        gyro = self.observations.gyro_block
-        return (self.observations.accel_block,) if gyro is None else (self.observations.accel_block, gyro)
+    def places(self) -> list[slice]:
+        """Slices of the parts in the data."""
+        return [slice(*ends) for ends in pairwise(np.cumsum([0, *map(math.prod, self.shapes)]).tolist())]
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        return tuple(name for block in self.blocks for name in block.names)
-
-    @property
-    def places(self) -> tuple[slice, slice, slice, slice]:
-        """Slices in the data of the readings of accelerometers and gyros, errors of turns, and integrals over turns."""
-        N, (accel, *gyro) = len(self.observations.rests), self.blocks
-        first = N * accel.size
-        second = first + sum(N * block.size for block in gyro)
-        third = second + 3 * len(self.course.duration)
-        return slice(0, first), slice(first, second), slice(second, third), slice(third, -1)
-
-    @property
-    def steps(self) -> Array:
-        """Steps of the central differences, of data and values."""
-        data, (_, rates, *turns) = np.full(len(self.data), 1e-5), self.places
-        data[rates], data[turns[0]], data[turns[1]] = 1e-9, 1e-6, 1e-6
-        values = [{"accel.bias": 1e-5, "gyro.bias": 1e-9}.get(group_name(name), 1e-6) for name in self.names]
-        return np.concatenate([data, values])
-
-    def readings(self, data: Array) -> tuple[tuple[Array, Array], Array, Array | None, Array]:
-        """Return specific forces and rates (..., N, n) at rest, errors of turns (..., K, 3), integrals over turns
-        (..., K, n) of more than three gyros, and g (...)."""
-        accel, *gyro = self.blocks
-        force, rate, turning, integral = (data[..., place] for place in self.places)
-        n, spare = gyro[0].size if gyro else 3, self.observations.turn_readings is not None
-        at_rest = _rows(force, accel.size), _rows(rate, n)
-        return at_rest, _rows(turning, 3), _rows(integral, n) if spare else None, data[..., -1]
+    def parts(self, data: Array) -> list[Array]:
+        """Return readings at rest (..., N, n), errors of turns (..., K, 3), integrals (..., K, n), and g (..., 1)."""
+        parts = zip(self.places, self.shapes, strict=True)
+        return [data[..., place].reshape(*data.shape[:-1], *shape) for place, shape in parts]
 
     def models(self, values: Array) -> tuple[SensorModel, SensorModel]:
         """Return the models of accelerometers and gyros, the latter perfect if there are none."""
@@ -354,7 +339,7 @@ class _SessionData:
             raise ProgrammeError("method sequential: expected turns between the rests in the log, found none")
         turns = self.observations.turns_about(block.model(values[len(self.observations.accel_block.names) :]))
         if matrix is None:
-            (force, rate), *_ = self.readings(self.data)
+            force, rate, *_ = self.parts(self.data)
             matrix = recorded_matrix(self.course.series, triad(accel.apply(force), about.apply(rate)), turns.M)
             rank = int(np.linalg.matrix_rank(matrix, 1e-3))
             if rank < 9:
@@ -367,27 +352,22 @@ class _SessionData:
     def after_pass(self, data: Array, values: Array, turned: _Turned | None) -> Array:
         """Return the values (..., m) after a pass over data (..., d) from values (..., m); without `turned`, after the
         stages of the rests."""
-        at_rest, turning, integral, gravity = self.readings(data)
+        force, rate, turning, integral, gravity = self.parts(data)
         turn, matrix = (None, None) if turned is None else (partial(turned.rotations, turning), turned.matrix)
-        models = one_pass(self.method, self.course, at_rest, turn, gravity, self.models(values), matrix, integral)
+        before = self.models(values)
+        models = one_pass(self.method, self.course, (force, rate), turn, gravity[..., 0], before, matrix, integral)
         parts = zip(self.blocks, models, strict=False)
         return np.concatenate([parameters_of(block, model) for block, model in parts], axis=-1)
 
-    def derivatives(self, values: Array, turned: _Turned | None) -> tuple[Array, Array]:
-        """Return the derivatives of the values after a pass with respect to data and values, by central differences."""
-        d, steps = len(self.data), self.steps
-        shifted = np.concatenate([self.data, values]) + np.concatenate([np.diag(steps), -np.diag(steps)])
-        high, low = np.split(self.after_pass(shifted[:, :d], shifted[:, d:], turned), 2)
-        both = (high - low).T / (2.0 * steps)
-        return both[:, :d], both[:, d:]
-
     def passes(self, iterations: int) -> tuple[Array, Array, tuple[Array, ...]]:
         """Return the values (m,) after some passes, their derivative (m, d) by the data, and the increments."""
-        values = np.concatenate([self.observations.start_values(block) for block in self.blocks])
-        derivative, increments = np.zeros((len(values), len(self.data))), list[Array]()
+        values, d = np.concatenate([self.observations.start_values(block) for block in self.blocks]), len(self.data)
+        derivative, increments = np.zeros((len(values), d)), list[Array]()
         for _ in range(iterations):
             turned = self.turned(self.after_pass(self.data, values, None))
-            by_data, by_start = self.derivatives(values, turned)
+            shifted = np.append(self.data, values) + np.concatenate([np.diag(self.steps), -np.diag(self.steps)])
+            high, low = np.split(self.after_pass(shifted[:, :d], shifted[:, d:], turned), 2)
+            by_data, by_start = np.split((high - low).T / (2.0 * self.steps), [d], axis=1)
             increments.append(self.after_pass(self.data, values, turned) - values)
             derivative, values = by_data + by_start @ derivative, values + increments[-1]
         return values, derivative, tuple(increments)
@@ -403,52 +383,47 @@ class _SessionData:
             values = after
         return values, False
 
-    def errors(self, components: VarianceComponents) -> Iterator[tuple[Source, slice, Array]]:
-        """Yield the sources of independent errors of the data, with their slice and covariances (N, n, n) of N rests or
-        turns. An in-run bias causes an error proportional to the duration of a turn."""
+    def budget(self, derivative: Array, components: VarianceComponents) -> UncertaintyBudget:
+        """Return the covariance of values by source, from their derivative (m, d) with respect to the data.
+
+        Rests and turns have independent errors; an in-run bias has one in a turn that is proportional to its
+        duration."""
         rests, turns, integrals = self.observations.rests, self.observations.turns, self.observations.turn_readings
-        alike = np.ones(sum(block.size for block in self.blocks))
-        sensors, (forces, rates, rotations, spare) = components.unlike if components.unlike.size else alike, self.places
-        for block, place, unit in zip(self.blocks, (forces, rates), ("m/s^2", "rad/s"), strict=False):
+        sources, covariances, m = dict[str, Source](), dict[str, Array](), len(derivative)
+
+        def add(name: str, place: slice, variances: Array, u: float | None = None, unit: str = "") -> None:
+            """Add errors of a source with the covariances (N, n, n) in N rests or turns."""
+            J = derivative[:, place].reshape(m, len(variances), -1)
+            sources.setdefault(name, source(name, u, unit))
+            covariances[name] = covariances.get(name, 0.0) + np.einsum("min,inp,kip->mk", J, variances, J)
+
+        sensors = components.unlike if components.unlike.size else np.ones(sum(block.size for block in self.blocks))
+        *at_rest, rotations, spare, gravity = self.places
+        for block, place, unit in zip(self.blocks, at_rest, ("m/s^2", "rad/s"), strict=False):
             kind, axes = block.kind, to_sensors(block)
             noise: Array = getattr(rests, f"{kind}_covariance")
-            yield source(f"{kind}.noise", typical_noise(noise), unit), place, axes.T @ noise @ axes
+            add(f"{kind}.noise", place, axes.T @ noise @ axes, typical_noise(noise), unit)
             factors, sensors = sensors[: block.size], sensors[block.size :]
             by_one = np.broadcast_to(axes.T @ np.diag(factors**2) @ axes, noise.shape)
             for name, what in (("scatter", kind), ("in_run", f"{kind}_in_run")):
                 size = float(getattr(components, what))
-                yield source(f"{kind}.{name}", size, unit), place, size**2 * by_one
+                add(f"{kind}.{name}", place, size**2 * by_one, size, unit)
         if len(self.blocks) == 2 and turns is not None:
-            T, aliased = turns.duration[:, None, None], turns.aliased[:, None, None]
-            yield source("turn.gyro.noise", typical_noise(turns.covariance), "rad"), rotations, turns.covariance
+            add("turn.gyro.noise", rotations, turns.covariance, typical_noise(turns.covariance), "rad")
             for name, size, unit, variance in (
-                ("gyro.in_run", components.gyro_in_run, "rad/s", T**2),
-                ("turn.scatter", components.turn, "rad", np.ones_like(T)),
-                ("aliased.scatter", components.aliased, "1", aliased),
+                ("gyro.in_run", components.gyro_in_run, "rad/s", turns.duration**2),
+                ("turn.scatter", components.turn, "rad", np.ones(len(turns))),
+                ("aliased.scatter", components.aliased, "1", turns.aliased),
             ):
-                yield source(name, size, unit), rotations, size**2 * variance * np.eye(3)
+                add(name, rotations, size**2 * variance[:, None, None] * np.eye(3), size, unit)
             if integrals is not None:
-                yield source("turn.gyro.noise"), spare, integrals.covariance
+                add("turn.gyro.noise", spare, integrals.covariance)
         g_u = self.observations.site.gravity_u
-        yield source("gravity", g_u, "m/s^2"), slice(len(self.data) - 1, None), np.array([[[g_u**2]]])
-
-    def budget(self, derivative: Array, components: VarianceComponents) -> UncertaintyBudget:
-        """Return the covariance of values by source, from their derivative (m, d) with respect to the data."""
-        sources, covariances = dict[str, Source](), dict[str, Array]()
-        for each, place, blocks in self.errors(components):
-            J = derivative[:, place].reshape(len(derivative), len(blocks), -1)
-            part = np.einsum("min,inp,kip->mk", J, blocks, J)
-            sources.setdefault(each.name, each)
-            covariances[each.name] = covariances.get(each.name, 0.0) + part
-        budget = UncertaintyBudget(sources=(), covariances=np.empty((0, *[len(derivative)] * 2)))
+        add("gravity", gravity, np.array([[[g_u**2]]]), g_u, "m/s^2")
+        budget = UncertaintyBudget(sources=(), covariances=np.empty((0, m, m)))
         for name, covariance in covariances.items():
             budget = budget.with_source(sources[name], covariance)
         return budget
-
-
-def _rows(values: Array, n: int) -> Array:
-    """Return values (..., N n) as N rows (..., N, n)."""
-    return values.reshape(*values.shape[:-1], -1, n)
 
 
 def iterated(
@@ -477,11 +452,11 @@ def iterated(
     degrees = np.array([each.dof or np.inf for each in budget.sources])
     by_scatter = (variances**2 / degrees[:, None]).sum(axis=0)
     accel, *gyro = session.blocks
-    accel_model = accel.model(values[: len(accel.names)])
+    accel_model, names = accel.model(values[: len(accel.names)]), tuple(n for b in session.blocks for n in b.names)
     estimate = Estimate(
         method=session.method.name,
-        names=session.names,
-        units=units_of(session.names),
+        names=names,
+        units=units_of(names),
         values=values,
         covariance=budget.covariances.sum(axis=0),
         observable=np.ones(len(values), dtype=bool),

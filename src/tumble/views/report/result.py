@@ -17,6 +17,7 @@ from tumble.result.further import (
     decided_by_priors,
     further_parameters,
     has_other_factors,
+    improvement,
     linear_errors_text,
     linear_parameters,
     parameter_words,
@@ -24,7 +25,6 @@ from tumble.result.further import (
     verdicts,
 )
 from tumble.result.parts import Parameter
-from tumble.result.unaided import improvement
 from tumble.run.calibrate import ITERATED_METHODS
 from tumble.sensors.model import WORDS
 from tumble.sensors.parameters import THERMAL, group_name, sensor_kind, variable_of, within_kind
