@@ -143,7 +143,7 @@ def test_limits_are_in_their_units_about_zero_or_between_two_values() -> None:
     assert parsed.of("accel.scale.x", "incoming") == pytest.approx((0.9e-3, 1.1e-3))
     assert parsed.of("gyro.axis.xy", "incoming") == pytest.approx((-20 * ARCSEC, 20 * ARCSEC))
     assert parsed.of("accel.bias.x", "periodic") is None
-    assert (parsed.device_months, parsed.months) == ({"A-0007": 6}, 12)
+    assert (parsed.device_interval_months, parsed.interval_months) == ({"A-0007": 6}, 12)
 
 
 def test_a_whole_is_as_good_as_its_worst_parameter() -> None:

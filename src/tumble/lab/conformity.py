@@ -154,12 +154,11 @@ def judge_parameters(
 
     Parameters with a limit that were not determined do not pass: those that are `unobservable`, and groups without any
     parameter."""
-    by_key = limits.checks.get(occasion)
-    if not by_key:
+    if occasion not in limits.checks:
         return None
     determined = {p.name: p for p in parameters}
     names = [*determined, *unobservable]
-    names += [key for key in by_key if not any(name_covers(key, name) for name in names)]
+    names += [key for key in getattr(limits, occasion) if not any(name_covers(key, name) for name in names)]
     judgements = []
     for name in names:
         interval = limits.of(name, occasion)
