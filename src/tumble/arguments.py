@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import builtins
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cache, wraps
 from inspect import Parameter, signature
 from numbers import Integral, Real
@@ -108,67 +108,61 @@ class _Names(dict[str, Any]):
 
 def _check(function: str, given: Mapping[str, Any], hints: Mapping[str, Any]) -> None:
     for name, value in given.items():
-        if name in hints and not _fits(value, hints[name]):
-            shown = (
-                repr(value) if isinstance(value, str | int | float | tuple | list | dict) else f"{type(value).__name__}"
-            )
+        fits, words = _expected(hints.get(name, Any))
+        if not fits(value):
+            shown = repr(value) if isinstance(value, str | int | float | tuple | list | dict) else type(value).__name__
             raise InputError(
-                f"--{name.replace('_', '-')}: expected {' or '.join(dict.fromkeys(_in_words(hints[name])))}, found "
-                f"{shown[:_SHOWN]}; see help(tumble.{function})"
+                f"--{name.replace('_', '-')}: expected {words}, found {shown[:_SHOWN]}; see help(tumble.{function})"
             )
 
 
-def _fits(value: Any, hint: Any) -> bool:
-    """Return True if a value is of the annotated type."""
+@cache
+def _expected(hint: Any) -> tuple[Callable[[Any], bool], str]:
+    """Return the test whether a value is of an annotated type, and the type in words."""
     origin: Any = get_origin(hint) or hint
     args = get_args(hint)
     if origin in _PLAIN:
-        is_0d_array = origin in (int, float) and isinstance(value, np.ndarray) and value.ndim == 0
-        is_misplaced_bool = isinstance(value, bool | np.bool_) and origin is not bool
-        return is_0d_array or (isinstance(value, _PLAIN[origin][1]) and not is_misplaced_bool)
+        words, types = _PLAIN[origin]
+
+        def is_plain(value: Any) -> bool:
+            is_0d_array = origin in (int, float) and isinstance(value, np.ndarray) and value.ndim == 0
+            is_misplaced_bool = isinstance(value, bool | np.bool_) and origin is not bool
+            return is_0d_array or (isinstance(value, types) and not is_misplaced_bool)
+
+        return is_plain, words
     if origin is Literal:
-        return any(isinstance(value, type(one)) for one in args)
+        return lambda value: isinstance(value, tuple(map(type, args))), ", ".join(map(str, args))
     if origin is np.ndarray:
-        try:
-            return np.asarray(value).dtype.kind in "biuf"
-        except ValueError:  # rows of different lengths
-            return False
-    if getattr(origin, "_is_protocol", False):
-        return True
+        return _is_numeric, "an array of numbers"
     if origin in (Union, UnionType):
-        return any(_fits(value, one) for one in args)
-    if origin is Any or not isinstance(origin, type):
-        return True
-    if origin is Callable or not issubclass(origin, Iterable) or not args:
-        return callable(value) if origin is Callable else isinstance(value, origin)
-    if issubclass(origin, Mapping):
-        return isinstance(value, Mapping) and all(_fits(one, args[1]) for one in value.values())
-    if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
-        return False
-    if issubclass(origin, tuple) and args[-1] is not Ellipsis:
-        return len(list(value)) == len(args) and all(map(_fits, value, args))
-    if not isinstance(value, Collection):  # an iterator, which can be read only once
-        return origin is Iterable
-    return all(_fits(one, args[0]) for one in value)
-
-
-def _in_words(hint: Any) -> Iterator[str]:
-    """Return the annotated types in words."""
-    origin: Any = get_origin(hint) or hint
-    args = get_args(hint)
-    if origin in _PLAIN:
-        yield _PLAIN[origin][0]
-    elif origin is Literal:
-        yield ", ".join(map(str, args))
-    elif origin is np.ndarray:
-        yield "an array of numbers"
-    elif origin in (Union, UnionType):
+        tests = [_expected(one)[0] for one in args]
         has_path = any(get_origin(one) is os.PathLike for one in args)
-        for one in args:
-            yield from () if one is str and has_path else _in_words(one)
-    elif args and issubclass(origin, Iterable) and not issubclass(origin, Mapping):
-        yield f"several, each {' or '.join(dict.fromkeys(_in_words(args[0])))}"
-    elif origin is Mapping and args and args[1] is not Any:
-        yield f"a mapping of names to {' or '.join(dict.fromkeys(_in_words(args[1])))}"
-    else:
-        yield {Mapping: "a mapping"}.get(origin, origin.__name__)
+        in_words = dict.fromkeys(_expected(one)[1] for one in args if not (one is str and has_path))
+        return lambda value: any(fits(value) for fits in tests), " or ".join(in_words)
+    if origin is Any or not isinstance(origin, type) or getattr(origin, "_is_protocol", False):
+        return lambda _value: True, getattr(origin, "__name__", "")
+    if origin is Callable or not issubclass(origin, Iterable) or not args:
+        return callable if origin is Callable else lambda value: isinstance(value, origin), origin.__name__
+    fits, words = _expected(args[issubclass(origin, Mapping)])
+    if issubclass(origin, Mapping):
+        in_mapping = "a mapping" if args[1] is Any else f"a mapping of names to {words}"
+        return lambda value: isinstance(value, Mapping) and all(map(fits, value.values())), in_mapping
+    tests = [_expected(one)[0] for one in args] if issubclass(origin, tuple) and args[-1] is not Ellipsis else []
+
+    def holds(value: Any) -> bool:
+        if isinstance(value, str | bytes | Mapping) or not isinstance(value, Iterable):
+            return False
+        if tests:
+            return len(list(value)) == len(tests) and all(test(one) for test, one in zip(tests, value, strict=True))
+        if not isinstance(value, Collection):  # an iterator, which can be read only once
+            return origin is Iterable
+        return all(map(fits, value))
+
+    return holds, f"several, each {words}"
+
+
+def _is_numeric(value: Any) -> bool:
+    try:
+        return np.asarray(value).dtype.kind in "biuf"
+    except ValueError:  # rows of different lengths
+        return False

@@ -115,38 +115,20 @@ def in_use(folder: Path, *, shared: bool = False) -> Iterator[None]:
             descriptor = os.open(folder, os.O_RDONLY)
             opened.callback(os.close, descriptor)
             if not lock(descriptor, shared=shared):
-                raise _taken(folder)
+                raise InputError(f"{folder}: expected a folder that no other process uses, found one in use")
         yield
 
 
-def _taken(folder: Path) -> InputError:
-    return InputError(f"{folder}: expected a folder that no other process uses, found one in use")
-
-
 class OutputFolder:
-    """A folder for new files, created with the first one; no file replaces another."""
+    """A folder for new files, of which none replaces another."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.written: list[Path] = []
-        self.absent = [place for place in (path, *path.parents) if not place.exists()]
-        self.use = ExitStack()
-        self._there = not self.absent
 
     def new_file(self, name: str) -> Path:
-        """Return the path of a new file of this name, with a number after its stem if the name is taken.
-
-        Raises InputError if another process has made the folder meanwhile, FileExistsError if it is a file."""
-        if self._there:
-            self.path.mkdir(exist_ok=True)  # FileExistsError for a file
-        else:
-            try:
-                self.path.mkdir(parents=True)
-                self.use.enter_context(in_use(self.path))
-            except (FileExistsError, InputError):
-                self.absent = []  # they are there, by the other process
-                raise _taken(self.path) from None
-        self._there = True
+        """Return the path of a new file of this name, with a number after its stem if the name is taken."""
+        self.path.mkdir(parents=True, exist_ok=True)  # FileExistsError for a file
         taken = {path.name.casefold() for path in self.written}
         wanted = path = self.path / name
         number = 1
@@ -159,14 +141,14 @@ class OutputFolder:
 
 @contextmanager
 def nothing_left(folder: Path) -> Iterator[OutputFolder]:
-    """Yield the folder for new files; if the block fails they are removed, and the folder if it was made and is
-    empty. Raises InputError if another process writes into the folder."""
-    output = OutputFolder(folder)
-    with output.use:
-        if not output.absent:
-            output.use.enter_context(in_use(folder))
+    """Yield a folder for new files, which is made if it does not exist; if the block fails they are removed, and the
+    folder if it was made and is empty. Raises InputError if another process uses the folder."""
+    absent = [place for place in (folder, *folder.parents) if not place.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    with in_use(folder):
+        output = OutputFolder(folder)
         try:
             yield output
         except BaseException:
-            _remove(output.written, output.absent)
+            _remove(output.written, absent)
             raise

@@ -45,7 +45,7 @@ def test_rows_depend_on_the_seed_and_the_number_alone(processes: Executor, tmp_p
     assert rows(campaign, tmp_path / "processes", processes).equals(serial)
     job = campaign.job()
     alone = pl.DataFrame(
-        [{"task": 5, **job.label(job.items[5]), **row} for row in job.task(5, job.items[5])], schema=serial.schema
+        [{"task": 5, **job.items[5], **row} for row in job.task(5, job.items[5])], schema=serial.schema
     )
     assert alone.equals(serial.filter(pl.col("task") == 5))
     other = rows(campaign_of(SESSIONS | {"seed": 4}), tmp_path / "other")
@@ -148,7 +148,7 @@ def table(folder: Path, **columns: Any) -> Path:
     job = campaign.job()
     given = [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
     schema = {"task": pl.Int64, **job.schema, "error": pl.String}
-    frame = pl.DataFrame([{"task": i, **job.label(job.items[0]), **row} for i, row in enumerate(given)], schema=schema)
+    frame = pl.DataFrame([{"task": i, **job.items[0], **row} for i, row in enumerate(given)], schema=schema)
     frame.write_parquet(folder / "rows.parquet")
     return folder / "rows.parquet"
 

@@ -30,11 +30,7 @@ BAD, DEADLY = 7, 13
 SCHEMA = {"name": pl.String, "x": pl.Float64, "k": pl.Int64}
 
 
-def label(name: str) -> Row:
-    return {"name": name}
-
-
-def drawn(number: int, _name: str) -> list[Row]:
+def drawn(number: int, _item: Row) -> list[Row]:
     """Two rows of random numbers that depend on the number alone; one task fails."""
     if number == BAD:
         raise ValueError("a number\nthat is bad")
@@ -42,23 +38,23 @@ def drawn(number: int, _name: str) -> list[Row]:
     return [{"x": float(x), "k": k} for k, x in enumerate(rng.standard_normal(2))]
 
 
-def noted(folder: Path, seconds: float, number: int, name: str) -> list[Row]:
+def noted(folder: Path, seconds: float, number: int, item: Row) -> list[Row]:
     """As `drawn`; that it was computed, and by which process, is noted in a folder."""
     with (folder / f"{os.getpid()}").open("a") as file:
         file.write(f"{number}\n")
     time.sleep(seconds)
-    return drawn(number, name)
+    return drawn(number, item)
 
 
-def deadly(home: int, number: int, name: str) -> list[Row]:
+def deadly(home: int, number: int, item: Row) -> list[Row]:
     """As `drawn`; one task ends the process it runs in, unless that is the one of the tests."""
     if number == DEADLY and os.getpid() != home:
         os.kill(os.getpid(), signal.SIGKILL)
-    return drawn(number, name)
+    return drawn(number, item)
 
 
 def job(task: Callable[[int, Any], list[Row]] = drawn, tasks: int = 40) -> Job:
-    return Job(definition={"seed": 5}, items=[f"task {i}" for i in range(tasks)], task=task, label=label, schema=SCHEMA)
+    return Job(definition={"seed": 5}, items=[{"name": f"task {i}"} for i in range(tasks)], task=task, schema=SCHEMA)
 
 
 def rows(of: Job, folder: Path, executor: Executor = serially) -> pl.DataFrame:
@@ -84,7 +80,7 @@ def test_every_task_has_its_rows_in_order(expected: pl.DataFrame) -> None:
     good = expected.filter(pl.col("error").is_null())
     assert good["task"].to_list() == [i for i in range(40) if i != BAD for _ in range(2)]
     assert good["name"].to_list() == [f"task {i}" for i in good["task"]]
-    assert good["x"].to_list() == [row["x"] for i in range(40) if i != BAD for row in drawn(i, "")]
+    assert good["x"].to_list() == [row["x"] for i in range(40) if i != BAD for row in drawn(i, {})]
 
 
 def test_a_task_that_fails_is_a_row_with_its_error(expected: pl.DataFrame) -> None:
@@ -125,7 +121,7 @@ def test_an_interrupted_job_is_resumed_without_losing_or_repeating_a_row(
 
     def one_by_one(of: Job, pending: Sequence[int]) -> Iterator[Done]:
         for i in pending:
-            yield (i,), engine.compute(of.task, of.label, of.columns, [(i, of.items[i])])
+            yield (i,), engine.compute(of.task, of.columns, [(i, of.items[i])])
 
     with pytest.raises(KeyboardInterrupt):
         run(once, tmp_path / "out", executor=one_by_one, progress=interrupt)
@@ -214,7 +210,7 @@ def test_a_task_that_ends_every_process_is_a_row_and_the_others_finish(processes
     assert found.filter(pl.col("task") != DEADLY).equals(serial.filter(pl.col("task") != DEADLY))
 
 
-def deadly_at_first(folder: Path, number: int, name: str) -> list[Row]:
+def deadly_at_first(folder: Path, number: int, item: Row) -> list[Row]:
     """As `drawn`; one task ends the processes of its first two attempts, as others may have done."""
     attempts = folder / "attempts"
     if number == DEADLY:
@@ -222,7 +218,7 @@ def deadly_at_first(folder: Path, number: int, name: str) -> list[Row]:
             file.write("once ")
         if len(attempts.read_text().split()) < ATTEMPTS:
             os.kill(os.getpid(), signal.SIGKILL)
-    return drawn(number, name)
+    return drawn(number, item)
 
 
 @pytest.mark.weekly

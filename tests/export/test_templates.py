@@ -186,7 +186,7 @@ KINDS = [
     (name, kind)
     for name in NAMES
     for kind in ("accel", "gyro")
-    if kind in read_template(TEMPLATES / f"{name}.tmpl").front.test
+    if kind in read_template(TEMPLATES / f"{name}.tmpl", name).front.test
 ]
 WHOLE = {"ros-imu-calib", "fusion", "realsense", "imucal", "depthai", "matlab-imu"}
 """Targets that hold matrix and bias."""
@@ -199,7 +199,7 @@ def test_every_template_has_a_parser_and_a_test_vector() -> None:
 
 @pytest.mark.parametrize(("name", "kind"), KINDS)
 def test_the_target_makes_of_the_test_vector_what_the_template_says(name: str, kind: str) -> None:
-    test = read_template(TEMPLATES / f"{name}.tmpl").front.test[kind]  # type: ignore[index]
+    test = read_template(TEMPLATES / f"{name}.tmpl", name).front.test[kind]  # type: ignore[index]
     model = SensorModel(matrix=np.array(test.matrix), bias=np.array(test.bias))
     other = calibration(0)
     made = with_fields(other, **{kind: model})

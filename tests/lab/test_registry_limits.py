@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from tests.support.registry_files import added
 from tumble.errors import InputError
-from tumble.lab.conformity import judge_parameters, judge_value
+from tumble.lab.conformity import LimitJudgement, Result, judge_parameters
 from tumble.lab.limits import Limits, months_later, parse_limits, read_limits
 from tumble.lab.registry.registry import Registry, open_registry
 from tumble.lab.registry.views import due_table
@@ -51,6 +51,10 @@ def row(name: str, value: float, u: float | None = 0.0) -> Parameter:
 # -------------------- the rule --------------------
 
 
+def judged(value: float, u: float | None, low: float, high: float) -> Result:
+    return LimitJudgement(name="accel.bias.x", unit="1", value=value, u=u, low=low, high=high).result
+
+
 @given(st.floats(-10, 10), st.floats(0, 3), st.floats(-5, 0), st.floats(0, 5))
 def test_the_verdict_is_whether_the_interval_of_the_value_is_within_the_limits(
     value: float, u: float, low: float, high: float
@@ -59,7 +63,7 @@ def test_the_verdict_is_whether_the_interval_of_the_value_is_within_the_limits(
     interval are counted."""
     points = [value - 2.0 * u + k / 200 * 4.0 * u for k in range(201)]
     inside = [low <= point <= high for point in points]
-    verdict = judge_value(value, u, low, high)
+    verdict = judged(value, u, low, high)
     edge = min(abs(value + s * 2.0 * u - limit) for s in (-1, 1) for limit in (low, high)) < 1e-9
     wide = 4.0 * u > 0.5 * (high - low)  # the limits may lie between two of the points
     if not edge and not wide:
@@ -123,11 +127,11 @@ def test_the_risk_of_a_whole_is_a_bound_on_that_of_its_values() -> None:
 
 
 def test_without_an_uncertainty_nothing_is_decided() -> None:
-    assert judge_value(0.0, None, -1.0, 1.0) == "undecided"
+    assert judged(0.0, None, -1.0, 1.0) == "undecided"
 
 
 def test_where_u_is_larger_than_the_limits_nothing_passes() -> None:
-    assert {judge_value(v / 10, 1.0, -1.0, 1.0) for v in range(-100, 101)} == {
+    assert {judged(v / 10, 1.0, -1.0, 1.0) for v in range(-100, 101)} == {
         "conditional pass",
         "conditional fail",
         "fail",
@@ -143,7 +147,7 @@ def test_limits_are_in_their_units_about_zero_or_between_two_values() -> None:
     assert parsed.of("accel.scale.x", "incoming") == pytest.approx((0.9e-3, 1.1e-3))
     assert parsed.of("gyro.axis.xy", "incoming") == pytest.approx((-20 * ARCSEC, 20 * ARCSEC))
     assert parsed.of("accel.bias.x", "periodic") is None
-    assert (parsed.device_months, parsed.months) == ({"A-0007": 6}, 12)
+    assert (parsed.device_interval_months, parsed.interval_months) == ({"A-0007": 6}, 12)
 
 
 def test_a_whole_is_as_good_as_its_worst_parameter() -> None:

@@ -15,7 +15,7 @@ from tests.support.calibrated import calibration, with_fields
 from tests.support.exports import CERTIFICATE
 from tumble.export import export_calibration
 from tumble.inference.estimate import Fit
-from tumble.lab.conformity import judge_calibration, judge_value
+from tumble.lab.conformity import LimitJudgement, judge_calibration
 from tumble.lab.limits import parse_limits
 from tumble.lab.report import limits_section
 from tumble.result.calibration import Calibration
@@ -110,7 +110,8 @@ def test_no_expanded_uncertainty_is_stated_with_less_than_one_degree_of_freedom(
     assert stated == f"{few.u:.3g}"
     assert certificate.find(".//dcc:quantity[@id='accel.bias.x']//si:expandedMU", NAMESPACES) is None
     assert certificate.find(".//si:coverageFactorXMLList", NAMESPACES) is None
-    assert judge_value(0.0, 1.0, -1e9, 1e9, dof=0.24) == "undecided"
+    judged = LimitJudgement(name="accel.bias.x", unit="1", value=0.0, u=1.0, dof=0.24, low=-1e9, high=1e9)
+    assert judged.result == "undecided"
 
 
 def test_gyros_have_the_fewer_degrees_of_rests_and_turns_that_scatter() -> None:

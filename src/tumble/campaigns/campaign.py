@@ -37,13 +37,12 @@ import polars as pl
 from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.campaigns.cluster import Place, executor_for
-from tumble.campaigns.engine import Job, Progress, Row, run
-from tumble.campaigns.trial import Cell, session_rows
+from tumble.campaigns.engine import Job, Progress, run
+from tumble.campaigns.trial import Cell, session_rows, setup_of
 from tumble.documents import shown, text_of_document, toml_of
 from tumble.errors import InputError, did_you_mean
 from tumble.files import FilePath, whole_file
 from tumble.planning.bounds import instrument_of
-from tumble.planning.setup import Setup
 from tumble.programme.positions import BUILT_IN
 from tumble.run.calibrate import DEFAULT_METHOD, ITERATED_METHODS, METHODS, Method
 from tumble.sensors.grades import GRADES
@@ -111,7 +110,7 @@ class Campaign:
 
     def job(self) -> Job:
         """Return the campaign as a job of trials × cells tasks."""
-        instruments = [instrument_of(Setup.of(**cell), gyros=True) for cell in self.cells]
+        instruments = [instrument_of(setup_of(cell), gyros=True) for cell in self.cells]
         names = tuple(dict.fromkeys(name for instrument in instruments for name in instrument.names))
         schema: dict[str, Any] = {
             name: pl.String if axis.names else pl.Int64 if axis.whole else pl.Float64 for name, axis in AXES.items()
@@ -122,14 +121,8 @@ class Campaign:
             definition={"campaign": asdict(self)},
             items=self.cells * self.trials,
             task=partial(session_rows, self.seed, cast("list[Method]", self.grid["method"]), self.intervals),
-            label=cell_label,
             schema=schema,
         )
-
-
-def cell_label(cell: Cell) -> Row:
-    """Return the columns that identify a cell."""
-    return {**cell} | ({} if cell["positions"] is None else {"programme": None})
 
 
 def read_campaign(path: Path) -> Campaign:
@@ -167,6 +160,7 @@ def campaign_of(content: Mapping[str, Any], where: str = "campaign") -> Campaign
         if not axes[name].names and not axes[name].whole:
             grid[name] = [float(value) for value in values]
     grid = {name: grid.get(name, [axis.default]) for name, axis in axes.items()}
+    grid["programme"] = [None] if "positions" in stated else grid["programme"]
     campaign = Campaign(trials=trials, seed=seed, intervals=intervals, grid=grid)
     if trials * len(campaign.cells) > MAX_TASKS:
         raise InputError(f"{where}: trials: expected at most {MAX_TASKS} over all points of the grid, found more")

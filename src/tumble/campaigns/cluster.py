@@ -4,31 +4,31 @@ Processes are spawned, not forked: a forked copy of a process with threads of po
 loopback interface alone.
 
 A chunk whose process died comes back as KilledWorker. Usually only one of its tasks is the cause, or none: the process
-may have been ended by someone, or memory ran out. The tasks of such chunks are computed one by one after all others. A
-task that fails then is tried again at the end, since its process may have been dying already or the machine been busy.
-It counts as failed after ATTEMPTS attempts.
+may have been ended by someone, or memory ran out. The tasks of such a chunk are computed one by one after all others. A
+task that is lost alone is tried again at the end, since its process may have been dying already or the machine been
+busy. It counts as failed after ATTEMPTS attempts. A process has one chunk at a time, so that none dies with another.
 """
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypedDict, Unpack, cast
 
 from tumble import __version__
-from tumble.campaigns.engine import Chunk, Done, Executor, Job, chunks, compute, error_row, parquet_of, serially
+from tumble.campaigns.engine import Chunk, Done, Executor, Job, Row, chunks, compute, serially
 from tumble.errors import InputError, MissingExtraError, TumbleError
 from tumble.recording.panic import COMMAND_LINE
 
 if TYPE_CHECKING:
-    from distributed import Client, Future
+    from distributed import Client
 
 ATTEMPTS = 3
-CHUNKS_IN_FLIGHT = 2  # per process: one being computed and one waiting
 CONNECT_SECONDS = 10
 LOST_SECONDS = 60.0  # without processes and results; on a busy machine a process takes up to half a minute to start
 _RESUME_ADVICE = "what was computed is kept: give the same command again to go on"
@@ -142,62 +142,48 @@ def _import_dask() -> tuple[Any, Any]:
 
 
 def _compute_on(client: Client, job: Job, pending: Sequence[int]) -> Iterator[Done]:
-    """Compute tasks on the processes of a client (an `Executor`)."""
-    from distributed import KilledWorker
+    """Compute tasks on the processes of a client (an `Executor`). Raises TumbleError if the cluster is lost, or has no
+    process for LOST_SECONDS."""
+    import distributed
 
-    unfinished: list[int] = []
+    def tasks_of(chunk: Chunk) -> list[tuple[int, Row]]:
+        return [(number, job.items[number]) for number in chunk]
+
+    lost = Counter[int]()
     workers = max(1, sum(cast(Any, client).nthreads().values()))
-    waiting, sent = chunks(pending, workers=workers), dict[Any, Chunk]()
+    waiting, sent = deque(chunks(pending, workers=workers)), dict[Any, Chunk]()
     try:
-        while True:
-            while len(sent) < CHUNKS_IN_FLIGHT * workers and (chunk := next(waiting, None)):
-                sent[_submit(job, chunk, client)] = chunk
-            if not sent:
-                break
-            for future in _wait_for_first(sent, client):
+        while waiting or sent:
+            while waiting and len(sent) < workers:
+                chunk = waiting.popleft()
+                work = job.task, job.columns, tasks_of(chunk)
+                sent[client.submit(_compute_in_worker, *work, pure=False)] = chunk
+            try:
+                finished: Any = distributed.wait(list(sent), timeout=LOST_SECONDS, return_when="FIRST_COMPLETED")
+            except TimeoutError:
+                if cast(Any, client).nthreads():
+                    continue
+                raise TumbleError(f"the processes were ended, and no other has begun; {_RESUME_ADVICE}") from None
+            for future in finished.done:
                 chunk = sent.pop(future)
                 try:
                     yield chunk, future.result()
                 except CancelledError:
                     raise
-                except Exception:
-                    unfinished += chunk
-        reasons: dict[int, str] = {}
-        for _ in range(ATTEMPTS):
-            reasons = {}
-            for number in unfinished:
-                (future,) = _wait_for_first([_submit(job, (number,), client)], client)
-                try:
-                    yield (number,), future.result()
-                except CancelledError:
-                    raise
-                except KilledWorker:
-                    reasons[number] = f"each of {ATTEMPTS} processes that computed it alone died"
                 except Exception as error:
-                    reasons[number] = f"{type(error).__name__}: {error}"
-            unfinished = [*reasons]
-        for number, reason in reasons.items():
-            yield (number,), parquet_of([error_row(number, job.label(job.items[number]), reason)], job.columns)
+                    lost.update(chunk)
+                    waiting += ((number,) for number in chunk if lost[number] <= ATTEMPTS)
+                    if max(map(lost.get, chunk)) > ATTEMPTS:
+                        reason = f"{type(error).__name__}: {error}"
+                        if isinstance(error, distributed.KilledWorker):
+                            reason = f"each of {ATTEMPTS} processes that computed it alone died"
+                        yield chunk, compute(partial(_failed, reason), job.columns, tasks_of(chunk))
     except (CancelledError, OSError) as error:
         raise TumbleError(f"the cluster is lost; {_RESUME_ADVICE}") from error
 
 
-def _wait_for_first(sent: Iterable[Future[Any]], client: Client) -> set[Future[Any]]:
-    """Return the futures that are done, as soon as one is. Raises TumbleError if there is no process for
-    LOST_SECONDS."""
-    _, distributed = _import_dask()
-    while True:
-        try:
-            waited = distributed.wait(list(sent), timeout=LOST_SECONDS, return_when="FIRST_COMPLETED")
-            return cast("set[Future[Any]]", waited.done)
-        except TimeoutError:
-            if not cast(Any, client).nthreads():
-                raise TumbleError(f"the processes were ended, and no other has begun; {_RESUME_ADVICE}") from None
-
-
-def _submit(job: Job, chunk: Chunk, client: Client) -> Future[Any]:
-    tasks = [(number, job.items[number]) for number in chunk]
-    return client.submit(_compute_in_worker, job.task, job.label, job.columns, tasks, pure=False)
+def _failed(reason: str, *_task: Any) -> list[Row]:
+    return [{"error": reason}]
 
 
 def _compute_in_worker(*work: Any) -> bytes:

@@ -42,14 +42,13 @@ Progress = Callable[[int, int], None]
 class Job:
     """A table to be computed: task i is `task(i, items[i])`, which returns at least one row.
 
-    `definition` are JSON values that determine the rows; `label(items[i])` are the columns that a row has even if the
-    task fails; `schema` has the polars types of the columns between `task` and `error`. `task`, `label` and the items
-    are sent to other processes: they must be functions of a module or `partial` of one."""
+    `definition` are JSON values that determine the rows. An item has the columns that its rows have even if the task
+    fails, `schema` the polars types of the columns between `task` and `error`. `task` and the items are sent to other
+    processes: it must be a function of a module or `partial` of one."""
 
     definition: Mapping[str, Any]
-    items: Sequence[Any]
+    items: Sequence[Row]
     task: Callable[[int, Any], list[Row]]
-    label: Callable[[Any], Row]
     schema: Mapping[str, Any]
 
     @property
@@ -111,7 +110,7 @@ def run(
 def serially(job: Job, pending: Sequence[int]) -> Iterator[Done]:
     """Compute tasks in this process (an `Executor`)."""
     for chunk in chunks(pending, workers=1):
-        yield chunk, compute(job.task, job.label, job.columns, [(number, job.items[number]) for number in chunk])
+        yield chunk, compute(job.task, job.columns, [(number, job.items[number]) for number in chunk])
 
 
 def chunks(pending: Sequence[int], *, workers: int) -> Iterator[Chunk]:
@@ -121,33 +120,21 @@ def chunks(pending: Sequence[int], *, workers: int) -> Iterator[Chunk]:
 
 
 def compute(
-    task: Callable[[int, Any], list[Row]],
-    label: Callable[[Any], Row],
-    columns: Mapping[str, Any],
-    tasks: Iterable[tuple[int, Any]],
+    task: Callable[[int, Any], list[Row]], columns: Mapping[str, Any], tasks: Iterable[tuple[int, Row]]
 ) -> bytes:
     """Compute tasks and return their rows as a Parquet file."""
+    import polars as pl
+
     rows: list[Row] = []
     for number, item in tasks:
         try:
-            rows += [{"task": number, **label(item), **row} for row in task(number, item)]
+            rows += [{"task": number, **item, **row} for row in task(number, item)]
         except Exception as error:
-            rows.append(error_row(number, label(item), f"{type(error).__name__}: {error}"))
-    return parquet_of(rows, columns)
-
-
-def parquet_of(rows: Sequence[Row], columns: Mapping[str, Any]) -> bytes:
-    """Return rows as a Parquet file."""
-    import polars as pl
-
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            rows.append({"task": number, **item, "error": reason})
     file = io.BytesIO()
     pl.DataFrame(rows, schema=columns).write_parquet(file)
     return file.getvalue()
-
-
-def error_row(number: int, label: Row, reason: str) -> Row:
-    """Return the row of a task that failed."""
-    return {"task": number, **label, "error": " ".join(reason.split())}
 
 
 # -------------------- the folder --------------------

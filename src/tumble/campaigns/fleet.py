@@ -102,9 +102,8 @@ def fleet(
     folders = find_sessions(str(sessions))
     job = Job(
         definition={"fleet": {"method": method}, "sessions": folders},
-        items=folders,
+        items=[{COLUMN: folder} for folder in folders],
         task=partial(calibrate_row, method),
-        label=session_label,
         schema=SCHEMA,
     )
     with executor_for(**place) as executor:
@@ -130,15 +129,10 @@ def find_sessions(pattern: str) -> list[str]:
     return sessions
 
 
-def session_label(session: str) -> Row:
-    """Return the column that identifies a session."""
-    return {COLUMN: session}
-
-
-def calibrate_row(method: Method, _number: int, session: str) -> list[Row]:
+def calibrate_row(method: Method, _number: int, item: Row) -> list[Row]:
     """Calibrate a session and return its row."""
     try:
-        calibration = calibrate(read_session(Path(session)), method=method)
+        calibration = calibrate(read_session(Path(item[COLUMN])), method=method)
     except InputError as error:
         return [{"error": str(error)}]
     parameters, covariance, outcome = calibration.parameters, calibration.covariance, calibration.outcome

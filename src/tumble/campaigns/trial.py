@@ -36,8 +36,13 @@ from tumble.simulation.scenario import Scenario, itinerary, scenario_of
 from tumble.units import Array
 
 Cell = Mapping[str, Any]
-"""A point of the grid of a campaign: arguments of `Setup.of`."""
+"""A point of the grid of a campaign: arguments of `Setup.of`, None for its defaults."""
 ITERATIONS = 2  # of the methods of the paper
+
+
+def setup_of(cell: Cell) -> Setup:
+    """Return the set-up at a point of the grid."""
+    return Setup.of(**{name: value for name, value in cell.items() if value is not None})
 
 
 def random_numbers(seed: int, number: int) -> np.random.Generator:
@@ -53,7 +58,7 @@ def session_rows(seed: int, methods: Sequence[Method], intervals: bool, number: 
     p `error.p`, its value minus the truth, `u.p`, and `bound.p`, the root of the Cramér–Rao bound of the observations,
     SI."""
     rng = random_numbers(seed, number)
-    scenario = scenario_of(Setup.of(**cell), rng)
+    scenario = scenario_of(setup_of(cell), rng)
     course = itinerary(scenario, random_numbers(seed, number).spawn(1)[0])
     observations = simulate_observations(scenario, rng, course=course)
     bounds = {f"bound.{name}": u for name, u in bound(scenario, course.attitudes, observations).items()}

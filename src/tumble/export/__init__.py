@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -39,20 +40,16 @@ class Target:
     ending: str = ".txt"
 
 
-def _built_in(function: str, about: str, ending: str, *takes: str) -> Target:
-    """Return a target whose function, "module.name" in this folder, is imported when it is called."""
-
-    def write(calibration: Calibration, **options: Any) -> Exported:
-        module, _, name = function.partition(".")
-        exported: Exported = getattr(import_module(f"tumble.export.{module}"), name)(calibration, **options)
-        return exported
-
-    return Target(write=write, about=about, ending=ending, takes=takes)
+def _write(function: str, *arguments: Any, **options: Any) -> Exported:
+    """Call a function, "module.name" in this folder, which is imported now."""
+    module, _, name = function.partition(".")
+    exported: Exported = getattr(import_module(f"tumble.export.{module}"), name)(*arguments, **options)
+    return exported
 
 
 BUILT_IN: Mapping[str, Target] = {
-    name: _built_in(*arguments)
-    for name, *arguments in (
+    name: Target(write=partial(_write, function), about=about, ending=ending, takes=tuple(takes))
+    for name, function, about, ending, *takes in (
         ("px4", "autopilots.px4", "PX4: parameter file for QGroundControl", ".params", "imu"),
         ("px4-thermal", "autopilots.px4_thermal", "PX4: offsets over temperature", ".params", "imu", "sensor_ids"),
         ("ardupilot", "autopilots.ardupilot", "ArduPilot: parameter file for Mission Planner", ".parm", "imu"),
@@ -88,34 +85,24 @@ def described_targets() -> Iterator[tuple[str, str]]:
     """Yield the names of all targets with a few words on each: those of a template are its `about`."""
     for name in targets():
         try:
-            found = _find(name)
-            if isinstance(found, Path):
-                yield name, split_template(text_of_document(found), name)[0].get("about", "")
-            else:
-                yield name, "" if found is None else found.about
+            yield name, target(name).about
         except InputError:
             yield name, "cannot be loaded"
 
 
 def target(name: str) -> Target:
     """Return the target with a name. Raises InputError for any other name."""
-    found = _find(name)
+    if name in BUILT_IN:
+        return BUILT_IN[name]
+    file = TEMPLATES / f"{name}.tmpl"
+    is_template = name != "" and Path(name).name == name and file.is_file()
+    found = file if is_template else load("exports", name, (Target, Path))
     if found is None:
         lower = name.lower()
         longer = next((each for each in targets() if name and each.startswith(lower)), name)
         advice = did_you_mean("c" if lower in ("arduino", "esp32", "stm32") else longer, targets())
         raise InputError(f"--to: expected one of {', '.join(targets())}, found {name!r}{advice}")
-    return found if isinstance(found, Target) else _template_target(found, name)
-
-
-def _find(name: str) -> Target | Path | None:
-    """Return the target with a name, or the file of its template; None if there is none."""
-    if name in BUILT_IN:
-        return BUILT_IN[name]
-    file = TEMPLATES / f"{name}.tmpl"
-    if name and Path(name).name == name and file.is_file():
-        return file
-    return cast("Target | Path | None", load("exports", name, (Target, Path)))
+    return _template_target(found, name) if isinstance(found, Path) else cast(Target, found)
 
 
 def split_template(text: str, name: str) -> tuple[dict[str, Any], str]:
@@ -126,12 +113,15 @@ def split_template(text: str, name: str) -> tuple[dict[str, Any], str]:
     return toml_of(front, name), body
 
 
-def _template_target(file: Path, name: str | None = None) -> Target:
-    from tumble.export.templates import read_template
-
-    template = read_template(file, name)
-    takes = ("counts",) if template.front.counts is not None else ()
-    return Target(write=template.write, about=template.front.about, takes=takes, ending=template.front.ending)
+def _template_target(file: Path, name: str) -> Target:
+    """Return the target that a template describes; what else is in the template is checked when it is written."""
+    front, _ = split_template(text_of_document(file), name)
+    return Target(
+        write=partial(_write, "templates.write_template", file, name),
+        about=str(front.get("about", "")),
+        takes=("counts",) if "counts" in front else (),
+        ending=str(front.get("ending", ".txt")),
+    )
 
 
 @checked
@@ -196,7 +186,7 @@ def export_calibration(
         stated = "neither" if to is None else "both"
         raise InputError(f"export: expected --to with the name of a target, or --template with a file, found {stated}")
     calibration = accepted_part(calibration_from(calibration))
-    chosen = _template_target(Path(template)) if template is not None else target(to or "")
+    chosen = _template_target(Path(template), str(template)) if template is not None else target(to or "")
     options = {"noise": noise, "imu": imu, "sensor_ids": sensor_ids, "counts": counts} | further
     chosen_options = {name: value for name, value in options.items() if value is not None}
     name = to or "a template"

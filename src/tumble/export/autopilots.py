@@ -18,11 +18,10 @@ TMAX are the ends of the measured range. Scale factors have one value each, that
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain
-from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict
@@ -50,11 +49,13 @@ _HELD = frozenset(f"{kind}.bias.{t}" for kind in ("accel", "gyro") for t in OVER
 class Autopilot(BaseModel):
     """Front matter of the layout of an autopilot.
 
-    `about`, `formula` and `source` describe the autopilot; `at_reference` and `of_gyros` are notes on the file,
-    `rotation` is the parameter of the board's rotation. It calibrates `imus` IMUs, and over temperature `compensated`
-    IMUs; `thermometers` are groups of sensors with one thermometer. Its polynomials are about the temperature
-    `centre`, °C (None: the reference), with coefficients in units of `worth`, SI. For a magnetometer: `unit` and
-    `sign` of the offsets, their largest length, the range of the diagonal, and the largest off-diagonal element."""
+    `about`, `formula` and `source` describe the autopilot, `rotation` is the parameter of the board's rotation. Notes:
+    over temperature `at_reference`, and `taken_up` with the error of a step; `of_gyros`; on ids that have to be there
+    already, `has_ids`, and that are missing over temperature, `lacks_ids`; on corrections too `small`. It calibrates
+    `imus` IMUs, and over temperature `compensated` IMUs; `thermometers` are groups of sensors with one
+    thermometer. Its polynomials are about the temperature `centre`, °C (None: the reference), with coefficients in
+    units of `worth`, SI. For a magnetometer: `unit` and `sign` of the offsets, their largest length, the range of the
+    diagonal, and the largest off-diagonal element."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -64,6 +65,10 @@ class Autopilot(BaseModel):
     at_reference: str
     rotation: str
     of_gyros: str = ""
+    taken_up: str = ""
+    has_ids: str = ""
+    lacks_ids: str = ""
+    small: str = ""
     imus: int
     compensated: int
     thermometers: tuple[tuple[SensorKind, ...], ...]
@@ -76,7 +81,7 @@ class Autopilot(BaseModel):
     most_across: float = math.inf
 
 
-PX4, ARDUPILOT = "px4.params.j2", "ardupilot.parm.j2"
+_LAYOUT_FILES = {"px4": "px4.params.j2", "ardupilot": "ardupilot.parm.j2"}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -87,8 +92,8 @@ class Triad:
     (3,) are the biases, SI, `factor` (3,) is 1/Mᵢᵢ, one for gyros. `known` is False if only changes over temperature
     were calibrated.
 
-    Over temperature: the `measured` range and the `reference`, °C; `slopes` (3, 3), the changes of the biases per K, K²
-    and K³; and `coefficients` (3, 3), those of the autopilot's cubic by axis."""
+    Over temperature: the `measured` range (None: the file has no temperature) and the `reference`, °C; `slopes` (3, 3),
+    the changes of the biases per K, K² and K³; and `coefficients` (3, 3), those of the autopilot's cubic by axis."""
 
     kind: SensorKind
     model: SensorModel
@@ -97,10 +102,10 @@ class Triad:
     offset: Array
     factor: Array
     known: bool
-    measured: tuple[float, float] | None = None
-    reference: float = math.nan
-    slopes: Array = field(default_factory=lambda: np.zeros((3, 3)))
-    coefficients: Array = field(default_factory=lambda: np.zeros((3, 3)))
+    measured: tuple[float, float] | None
+    reference: float
+    slopes: Array
+    coefficients: Array
 
     def steepest(self) -> float:
         """Return the largest slope of a bias within the measured range, SI per K."""
@@ -153,17 +158,9 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
             )
     compensator = calibration.compensator
     for kind, model in models.items():
-        recorded_as, over_temperature = calibration.imu.get(kind), dict[str, Any]()
-        if thermal:
-            sharing = next(kinds for kinds in pilot.thermometers if kind in kinds)
-            reference = float(np.mean(compensator.reference(next(each for each in sharing if each in models))))
-            slopes = compensator.changes(kind, "bias")
-            over_temperature = {
-                "measured": temperature_range(calibration, target),
-                "reference": reference,
-                "slopes": slopes,
-                "coefficients": _cubic(pilot, slopes, reference),
-            }
+        recorded_as, slopes = calibration.imu.get(kind), compensator.changes(kind, "bias")
+        sharing = next(kinds for kinds in pilot.thermometers if kind in kinds)
+        reference = float(np.mean(compensator.reference(next(each for each in sharing if each in models))))
         corrections.append(
             Triad(
                 kind=kind,
@@ -173,7 +170,10 @@ def _triads(pilot: Autopilot, target: str, calibration: Calibration, imu: int | 
                 offset=model.bias,
                 factor=1.0 / np.diag(model.matrix) if kind == "accel" else np.ones(3),
                 known=any(group_name(name) == f"{kind}.bias" for name in calibration),
-                **over_temperature,
+                measured=temperature_range(calibration, target) if thermal else None,
+                reference=reference,
+                slopes=slopes,
+                coefficients=_cubic(pilot, slopes, reference),
             )
         )
     return corrections
@@ -243,7 +243,8 @@ def _autopilot(
 ) -> Exported:
     """Return the file of a calibration, for the recorded IMU or the `imu`-th, with remarks, examples and notes as
     comments. `sensor_ids` are the device ids of accelerometer and gyro, if the recording has none."""
-    layout, thermal = PX4 if target.startswith("px4") else ARDUPILOT, target.endswith("-thermal")
+    name, thermal = target.removesuffix("-thermal"), target.endswith("-thermal")
+    layout = _LAYOUT_FILES[name]
     front, _ = split_template(text_of_document(LAYOUTS / layout), layout)
     pilot = Autopilot(**front)
     applied = _triads(pilot, target, calibration, imu, thermal=thermal)
@@ -251,13 +252,13 @@ def _autopilot(
     if measured is not None and (span := measured[1] - measured[0]) < LEAST_CHANGE:
         raise InputError(
             f"export to {target}: expected temperatures that span at least {LEAST_CHANGE:g} K, found {span:.1f} K, "
-            "over which a drift in time looks like a slope; record while it warms up, or export to "
-            f"{target.removesuffix('-thermal')}"
+            f"over which a drift in time looks like a slope; record while it warms up, or export to {name}"
         )
     ids: dict[str, int | None] = {kind: sensor.id for kind, sensor in calibration.imu.items()}
     ids |= {} if sensor_ids is None else dict(zip(("accel", "gyro"), sensor_ids, strict=True))
     signed = {kind: n - 2**32 if n >= 2**31 else n for kind, n in ids.items() if n is not None}  # as PX4 has them
-    both, remarks, see_to = signed if len(signed) == 2 else None, list[str](), list[str]()
+    both, see_to = signed if len(signed) == 2 else None, list[str]()
+    remarks = [pilot.has_ids] if pilot.has_ids and (thermal or both is None) else []
     if imu is None and not calibration.imu:
         see_to.append(
             "the calibration does not say which IMU it is of: these are parameters of the first (--imu N of another), "
@@ -265,20 +266,21 @@ def _autopilot(
         )
     if pilot.of_gyros and "gyro" in (each.kind for each in applied):
         see_to.append(pilot.of_gyros)
-    if layout == PX4 and (thermal or both is None):
-        remarks.append("CAL_ACC*_ID and CAL_GYRO*_ID have to be the ids of these sensors already")
-    if thermal:
+    if measured is not None:
         references = dict.fromkeys(f"{each.reference:g}" for each in applied)
         remarks.append(pilot.at_reference.format(" and ".join(references)))
-        see_to += _thermal_advice(applied, px4=layout == PX4, has_ids=both is not None)
+        errors = " and ".join(in_units(each.kind, each.steepest()) for each in applied)
+        few = f" (only {span:.1f} K: warm it through the temperatures of its use)" if span < WIDE else ""
+        see_to += filter(None, [pilot.taken_up.format(errors)])
+        see_to.append(
+            f"outside {measured[0]:.1f} to {measured[1]:.1f} degC nothing was measured{few}: the target keeps the "
+            "offsets of the nearer end"
+        )
+        see_to += [pilot.lacks_ids] if pilot.lacks_ids and both is None else []
     changes = {f"{each.kind} offsets": each.offset for each in applied if each.known}
     changes |= {f"{each.kind} scales": each.factor - 1.0 for each in applied[:1] if each.kind == "accel" and each.known}
     small = [name for name, change in changes.items() if np.linalg.norm(change) <= MIN_CHANGE]
-    if layout == PX4 and small:
-        see_to.append(
-            "some releases of PX4 ignore corrections shorter than 0.01 (m/s^2, 1, rad/s), as here: "
-            f"{', '.join(small)}; if `sensors status` does not show them, update PX4"
-        )
+    see_to += [pilot.small.format(", ".join(small))] if pilot.small and small else []
     compass, compass_remarks, lost = _compass(pilot, calibration)
     notes = notes_of(
         calibration,
@@ -297,29 +299,6 @@ def _autopilot(
 
 px4, px4_thermal = partial(_autopilot, "px4"), partial(_autopilot, "px4-thermal")
 ardupilot, ardupilot_thermal = partial(_autopilot, "ardupilot"), partial(_autopilot, "ardupilot-thermal")
-
-
-def _thermal_advice(applied: Sequence[Triad], *, px4: bool, has_ids: bool) -> Iterator[str]:
-    """Yield advice on corrections over temperature; PX4 finds its curves by the ids of both sensors."""
-    if px4:
-        errors = " and ".join(in_units(each.kind, each.steepest()) for each in applied)
-        yield (
-            "PX4 takes up new offsets when the temperature has changed by more than 1 degC: until then an error of up "
-            f"to {errors}"
-        )
-    if (measured := applied[0].measured) is not None:
-        low, high = measured
-        span = high - low
-        few = f" (only {span:.1f} K: warm it through the temperatures of its use)" if span < WIDE else ""
-        yield (
-            f"outside {low:.1f} to {high:.1f} degC nothing was measured{few}: the target keeps the "
-            "offsets of the nearer end"
-        )
-    if px4 and not has_ids:
-        yield (
-            "TC_*_ID are not in this file: set them to CAL_ACC*_ID and CAL_GYRO*_ID, or give --sensor-ids; without "
-            "them PX4 compensates nothing"
-        )
 
 
 def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[Mapping[str, Array] | None, list[str], list[str]]:

@@ -261,16 +261,21 @@ class Template:
         return value
 
 
-def read_template(file: Path, name: str | None = None) -> Template:
-    """Read a template, called by its path in messages or by the `name` of its target.
+def read_template(file: Path, name: str) -> Template:
+    """Read a template, called by `name` in messages.
 
     Raises InputError for a file that is not a template, and for a formula that does not give its test vector."""
-    name, text = name or str(file), text_of_document(file)
+    text = text_of_document(file)
     front, body = split_template(text, name)
     line = text.count("\n") - body.count("\n")
     template = Template(name=name, front=validated(Front, front, name), body=body, line=line)
     template.check()
     return template
+
+
+def write_template(file: Path, name: str, calibration: Calibration, **options: Any) -> Exported:
+    """Return the file of a calibration by a template. Raises InputError as `read_template` and `Template.write`."""
+    return read_template(file, name).write(calibration, **options)
 
 
 _PER: Mapping[SensorKind, tuple[float, str]] = {"accel": (G_STANDARD, "g"), "gyro": (DEGREE, "deg/s")}

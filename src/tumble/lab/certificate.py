@@ -13,7 +13,6 @@ country = "RU"
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
@@ -248,13 +247,13 @@ def certificate_limits(certificate: Certificate) -> Limits | None:
     if certificate.limits is None:
         return None
     limits = read_limits(Path(certificate.limits))
-    checks = [occasion for occasion in limits.checks if limits.checks[occasion]]
+    checks = limits.checks
     selected = certificate.check or (checks[0] if len(checks) == 1 else None)
     if selected not in checks:
         both = f"'incoming' or 'periodic', for {certificate.limits} has limits of both"
         expected = both if len(checks) > 1 else f"{checks[0]!r}, whose limits {certificate.limits} has"
         raise InputError(f"certificate: check: expected {expected}, found {repr(selected) if selected else 'none'}")
-    return replace(limits, checks={selected: limits.checks[selected]})
+    return limits.model_copy(update={other: {} for other in checks if other != selected})
 
 
 def read_certificate(path: Path) -> Certificate:

@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 import scipy
@@ -57,17 +57,43 @@ SMALLEST_RISK = 1e-4  # smaller ones depend on the far tails of a distribution t
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class LimitJudgement:
-    """A parameter (SI) judged by its limits. `expanded` is U, `risk` the probability that the result is wrong. The
-    value is None if the parameter was not determined."""
+    """A parameter (SI) judged by its limits. The value is None if the parameter was not determined; `unsteady` is
+    whether it changed while it was recorded."""
+
+    json_fields: ClassVar = ("name", "unit", "value", "expanded", "low", "high", "result", "risk")
 
     name: str
     unit: str
-    value: float | None
-    expanded: float | None
+    value: float | None = None
+    u: float | None = None
+    dof: float | None = None
     low: float
     high: float
-    result: Result
-    risk: float | None
+    unsteady: bool = False
+
+    @property
+    def expanded(self) -> float | None:
+        """Expanded uncertainty U."""
+        return None if self.u is None else expanded_of(self.u, self.dof)
+
+    @property
+    def result(self) -> Result:
+        """The result by the decision rule; undecided without a value or U."""
+        if self.value is None or self.expanded is None or self.unsteady:
+            return "undecided"
+        inside = min(self.value - self.low, self.high - self.value)
+        if inside >= 0.0:
+            return "pass" if inside >= self.expanded else "conditional pass"
+        return "conditional fail" if inside >= -self.expanded else "fail"
+
+    @property
+    def risk(self) -> float | None:
+        """Probability that the result is wrong; None if it is undecided."""
+        if self.value is None or self.result == "undecided" or not self.u:
+            return None if self.result == "undecided" else 0.0
+        ends = np.array([self.low - self.value, self.value - self.high]) / self.u
+        outside = float(scipy.special.stdtr(math.inf if self.dof is None else self.dof, ends).sum())
+        return outside if self.result.endswith("pass") else max(1.0 - outside, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -154,52 +180,18 @@ def judge_parameters(
 
     Parameters with a limit that were not determined do not pass: those that are `unobservable`, and groups without any
     parameter."""
-    by_key = limits.checks.get(occasion)
-    if not by_key:
+    if occasion not in limits.checks:
         return None
-    determined = {p.name: p for p in parameters}
+    determined = {p.name: {"unit": p.unit, "value": p.value, "u": p.u, "dof": p.dof} for p in parameters}
     names = [*determined, *unobservable]
-    names += [key for key in by_key if not any(name_covers(key, name) for name in names)]
+    names += [key for key in getattr(limits, occasion) if not any(name_covers(key, name) for name in names)]
     judgements = []
     for name in names:
-        interval = limits.of(name, occasion)
-        if interval is None:
-            continue
-        p = determined.get(name)
-        value, u, dof = (None, None, None) if p is None else (p.value, p.u, p.dof)
-        result = "undecided" if value is None or name in unsteady else judge_value(value, u, *interval, dof=dof)
-        judgement = LimitJudgement(
-            name=name,
-            unit=group_of(name).unit if p is None else p.unit,
-            value=value,
-            expanded=None if u is None else expanded_of(u, dof),
-            low=interval[0],
-            high=interval[1],
-            result=result,
-            risk=None if value is None or u is None else _risk(result, value, u, *interval, dof),
-        )
-        judgements.append(judgement)
+        if (interval := limits.of(name, occasion)) is not None:
+            known: dict[str, Any] = determined.get(name) or {"unit": group_of(name).unit}
+            low, high = interval
+            judgements.append(LimitJudgement(name=name, low=low, high=high, unsteady=name in unsteady, **known))
     return Verdict(occasion=occasion, frame=limits.frame, judgements=tuple(judgements))
-
-
-def judge_value(value: float, u: float | None, low: float, high: float, dof: float | None = None) -> Result:
-    """Judge a value with its standard uncertainty and degrees of freedom; undecided without U."""
-    U = None if u is None else expanded_of(u, dof)
-    if U is None:
-        return "undecided"
-    inside = min(value - low, high - value)
-    if inside >= 0.0:
-        return "pass" if inside >= U else "conditional pass"
-    return "conditional fail" if inside >= -U else "fail"
-
-
-def _risk(result: Result, value: float, u: float, low: float, high: float, dof: float | None) -> float | None:
-    """Return the probability that a result is wrong; None if it is undecided."""
-    if result == "undecided" or u == 0.0:
-        return None if result == "undecided" else 0.0
-    ends = np.array([low - value, value - high]) / u
-    outside = float(scipy.special.stdtr(math.inf if dof is None else dof, ends).sum())
-    return outside if result.endswith("pass") else max(1.0 - outside, 0.0)
 
 
 def risk_text(risk: float | None) -> str:

@@ -9,13 +9,12 @@ from __future__ import annotations
 import calendar
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import date
 from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from tumble.documents import text_of_document, toml_of, validated
 from tumble.errors import did_you_mean
@@ -29,37 +28,44 @@ OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
 _FORMS = 'a text such as "5 mg", or a table with min and max'
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Limits:
-    """Acceptance limits of a device type.
-
-    `checks` has the lowest and the highest value (SI) by check and by parameter or group; `months` is the interval
-    between calibrations, `device_months` those of single devices by serial number."""
-
-    frame: str
-    checks: Mapping[Occasion, Mapping[str, tuple[float, float]]]
-    months: int | None
-    device_months: Mapping[str, int]
-
-    def of(self, name: str, occasion: Occasion) -> tuple[float, float] | None:
-        """Return the lowest and the highest value (SI) of a parameter, None without a limit."""
-        by_key = self.checks.get(occasion, {})
-        longest = max((key for key in by_key if name_covers(key, name)), key=len, default=None)
-        return None if longest is None else by_key[longest]
-
-
-def months_later(day: date, months: int) -> date:
-    """Return the same day of a later month, or its last day if that month is shorter."""
-    year, month = divmod(day.year * 12 + day.month - 1 + months, 12)
-    return date(year, month + 1, min(day.day, calendar.monthrange(year, month + 1)[1]))
+def _limit(key: str, value: Any) -> tuple[float, float]:
+    """Return the lowest and the highest value, SI, of a limit as it is written. Raises ValueError."""
+    try:
+        kind = group_of(key)
+    except KeyError:
+        expected = 'expected a quoted name such as "accel.bias" or "gyro.axis.xy", found'
+        raise ValueError(f"{key}: {expected} {key!r}{did_you_mean(key, (group.name for group in groups()))}") from None
+    typed = value if isinstance(value, dict) else {"size": value}
+    known_keys = set(typed) <= {"min", "max"} if isinstance(value, dict) else True
+    if not typed or not known_keys or not all(isinstance(text, str) for text in typed.values()):
+        raise ValueError(f"{key}: expected {_FORMS}, found {value!r}")
+    try:
+        sizes = {name: quantity_of(kind, text) for name, text in typed.items()}
+    except ValueError as error:
+        raise ValueError(f"{key}: {error}") from None
+    if sizes.get("size", 1.0) <= 0.0:
+        raise ValueError(f"{key}: expected more than 0, found {value!r}")
+    size = sizes.get("size", math.inf)
+    low, high = sizes.get("min", -size), sizes.get("max", size)
+    if low >= high:
+        raise ValueError(f"{key}: expected a min below max, found {typed['min']!r} and {typed['max']!r}")
+    return low, high
 
 
 _Months = Annotated[int, Field(ge=1, le=1200)]
 _MONTHS = "a whole number of months from 1 to 1200"
+_Check = Annotated[
+    dict[str, Any],
+    AfterValidator(lambda written: {key: _limit(key, value) for key, value in written.items()}),
+    Field(description="a table of limits"),
+]
 
 
-class _LimitsFile(BaseModel):
-    """Schema of a file of limits."""
+class Limits(BaseModel):
+    """Acceptance limits of a device type, as in their file.
+
+    `incoming` and `periodic` have the lowest and the highest value (SI) by parameter or group; `interval_months` is the
+    interval between calibrations, `device_interval_months` those of single devices by serial number."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
 
@@ -69,49 +75,25 @@ class _LimitsFile(BaseModel):
     device_interval_months: dict[str, _Months] = Field(
         default={}, description=f"a table of serial numbers, each with {_MONTHS}"
     )
-    incoming: dict[str, Any] = Field(default={}, description="a table of limits")
-    periodic: dict[str, Any] = Field(default={}, description="a table of limits")
+    incoming: _Check = {}
+    periodic: _Check = {}
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if not any(self.checks.values()):
+        if not self.checks:
             raise ValueError("expected limits in [incoming] or [periodic], found none")
         return self
 
     @property
-    def checks(self) -> dict[Occasion, dict[str, tuple[float, float]]]:
-        """Limits of each check by the name of a parameter or a group. Raises ValueError."""
-        return {
-            occasion: {key: _limit(key, value, f"{occasion}: {key}") for key, value in getattr(self, occasion).items()}
-            for occasion in OCCASIONS
-            if occasion in self.model_fields_set
-        }
+    def checks(self) -> tuple[Occasion, ...]:
+        """The checks that have limits."""
+        return tuple(occasion for occasion in OCCASIONS if getattr(self, occasion))
 
-
-def _limit(key: str, value: Any, where: str) -> tuple[float, float]:
-    """Return the lowest and the highest value, SI, of a limit as it is written. Raises ValueError."""
-    try:
-        kind = group_of(key)
-    except KeyError:
-        expected = 'expected a quoted name such as "accel.bias" or "gyro.axis.xy", found'
-        raise ValueError(
-            f"{where}: {expected} {key!r}{did_you_mean(key, (group.name for group in groups()))}"
-        ) from None
-    typed = value if isinstance(value, dict) else {"size": value}
-    known_keys = set(typed) <= {"min", "max"} if isinstance(value, dict) else True
-    if not typed or not known_keys or not all(isinstance(text, str) for text in typed.values()):
-        raise ValueError(f"{where}: expected {_FORMS}, found {value!r}")
-    try:
-        sizes = {name: quantity_of(kind, text) for name, text in typed.items()}
-    except ValueError as error:
-        raise ValueError(f"{where}: {error}") from None
-    if sizes.get("size", 1.0) <= 0.0:
-        raise ValueError(f"{where}: expected more than 0, found {value!r}")
-    size = sizes.get("size", math.inf)
-    low, high = sizes.get("min", -size), sizes.get("max", size)
-    if low >= high:
-        raise ValueError(f"{where}: expected a min below max, found {typed['min']!r} and {typed['max']!r}")
-    return low, high
+    def of(self, name: str, occasion: Occasion) -> tuple[float, float] | None:
+        """Return the lowest and the highest value (SI) of a parameter, None without a limit."""
+        by_key: Mapping[str, tuple[float, float]] = getattr(self, occasion)
+        longest = max((key for key in by_key if name_covers(key, name)), key=len, default=None)
+        return None if longest is None else by_key[longest]
 
 
 def read_limits(path: Path) -> Limits:
@@ -122,10 +104,10 @@ def read_limits(path: Path) -> Limits:
 @lru_cache(maxsize=64)
 def parse_limits(text: str, name: str) -> Limits:
     """Read acceptance limits from the text of a file, with its `name` for messages. Raises InputError."""
-    file = validated(_LimitsFile, toml_of(text, name), name)
-    return Limits(
-        frame=file.frame,
-        checks=file.checks,
-        months=file.interval_months,
-        device_months=file.device_interval_months,
-    )
+    return validated(Limits, toml_of(text, name), name)
+
+
+def months_later(day: date, months: int) -> date:
+    """Return the same day of a later month, or its last day if that month is shorter."""
+    year, month = divmod(day.year * 12 + day.month - 1 + months, 12)
+    return date(year, month + 1, min(day.day, calendar.monthrange(year, month + 1)[1]))

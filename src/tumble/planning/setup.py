@@ -24,7 +24,7 @@ from tumble.errors import InputError
 from tumble.programme.positions import Programme, duration
 from tumble.programme.positions import programme as built_in
 from tumble.recording.session import USUAL_CLOCK_U
-from tumble.sensors.grades import GRADES, NoiseModel, Spread
+from tumble.sensors.grades import GRADES, NoiseModel, Spread, Spreads
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.model import Block
 from tumble.sensors.parameters import Terms, group_of, positions_by_group, quantity_of, usual_sizes
@@ -41,7 +41,7 @@ _programme = cache(built_in)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
-class Setup(Brief):
+class Setup(Spreads, Brief):
     """Instrument, programme and site of a calibration, in SI and radians.
 
     Attributes

@@ -106,28 +106,23 @@ class Convention:
     @property
     def names(self) -> tuple[str, ...]:
         """Parameter names as in the calibration file: biases, scale-factor errors, axis angles."""
-        if self._is_native:
-            return self.block.names
-        angles = self._all_angles.angles if self.frame == "case" else _UPPER_PAIRS
+        angles = _UPPER_PAIRS if self._as_block is None else self._as_block.angles
         return (*self.block.names[: 2 * self.block.size], *(f"{self.block.kind}.axis.{angle}" for angle in angles))
 
     def parameters(self, model: SensorModel) -> Array:
         """Return the parameter values of a sensor model in this frame, in the order of `names`."""
-        if self._is_native:
-            return self.block.parameters(model)
+        if self._as_block is not None:
+            return self._as_block.parameters(model)
         values = self._all_angles.parameters(model)
         if self.frame == "paper":
             rows = self.block.axes.T @ model.matrix
             return np.concatenate([values[:3], np.diag(rows) - 1.0, [rows[p, q] / rows[p, p] for p, q in _UPPER]])
-        by_name = dict(zip(self._all_angles.names, values, strict=True))
-        return np.array([by_name[name.replace("accel", "gyro", 1)] for name in self.names])
+        return np.array([*values[:6], *(values[6 + self._all_angles.angles.index(pair)] for pair in _UPPER_PAIRS)])
 
     def model(self, values: Array) -> SensorModel:
         """Return the sensor model of parameter values in the order of `names`."""
-        if self._is_native:
-            return self.block.model(values)
-        if self.frame == "case":
-            return self._all_angles.model(values)
+        if self._as_block is not None:
+            return self._as_block.model(values)
         k, angles = 1.0 + values[3:6], values[6:]
         if self.frame == "paper":
             rows = np.eye(3, dtype=values.dtype)
@@ -143,10 +138,8 @@ class Convention:
 
     def jacobian(self, values: Array) -> Array:
         """Return the derivative (n, 4, m) of the matrix (n, 3) and, as fourth column, of the bias by the parameters."""
-        if self._is_native:
-            return self.block.jacobian(values)
-        if self.frame == "case":
-            return self._all_angles.jacobian(values)
+        if self._as_block is not None:
+            return self._as_block.jacobian(values)
         out = np.empty((3, 4, len(values)))
         for i in range(len(values)):  # a complex step, exact to rounding
             stepped = self.model(values + 1e-20j * (np.arange(len(values)) == i))
@@ -154,9 +147,11 @@ class Convention:
         return out
 
     @property
-    def _is_native(self) -> bool:
-        """Whether the parameters are those of the block itself."""
-        return self.block.kind == "gyro" or self.frame == "accelerometer"
+    def _as_block(self) -> Block | None:
+        """The sensors as a block with these parameters; None if a block has others."""
+        if self.block.kind == "gyro" or self.frame == "accelerometer":
+            return self.block
+        return self._all_angles if self.frame == "case" else None
 
     @property
     def _all_angles(self) -> Block:

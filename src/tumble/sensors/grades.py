@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
 
 from tumble.earth import EARTH_RATE
 from tumble.errors import InputError, did_you_mean
@@ -35,9 +34,8 @@ class NoiseModel:
 
     def scaled(self, factor: float) -> NoiseModel:
         """Return the model with all noise multiplied by a factor."""
-        white = {"accel_white": factor * self.accel_white, "gyro_white": factor * self.gyro_white}
-        in_run = factor * self.accel_instability, factor * self.gyro_instability
-        return replace(self, **white, accel_instability=in_run[0], gyro_instability=in_run[1])
+        sizes = ("accel_white", "gyro_white", "accel_instability", "gyro_instability")
+        return replace(self, **{size: factor * getattr(self, size) for size in sizes})
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -65,42 +63,28 @@ class Grade(Spreads):
     noise: NoiseModel
 
 
-class _HasSpreads(Protocol):
-    """A grade, a set-up or a power-on."""
-
-    @property
-    def accel(self) -> Spread: ...
-
-    @property
-    def gyro(self) -> Spread: ...
-
-
-def spread_of(instruments: _HasSpreads, parameter: str) -> float:
+def spread_of(instruments: Spreads, parameter: str) -> float:
     """Return the standard deviation, SI, of a parameter or group of the linear model, such as "accel.bias.x" or
     "accel.bias"."""
     spread = getattr(instruments, sensor_kind(parameter))
     return float(getattr(spread, within_kind(group_name(parameter))))
 
 
-def _spreads(sizes: Mapping[str, Mapping[str, float | str]]) -> dict[str, Spread]:
-    """Return spreads by kind of sensors from sizes in SI or with a unit."""
-    return {kind: Spread(**{name: size_of(size) for name, size in row.items()}) for kind, row in sizes.items()}
-
-
-def _over_instruments(grade: str) -> dict[str, Spread]:
-    """Return the spreads of the linear model in the table of parameters."""
-    return _spreads(
-        {
-            kind: {within_kind(group.name): group.usual[grade] for group in LINEAR if group.kind == kind}
-            for kind in ("accel", "gyro")
-        }
-    )
+def _spreads(sizes: Mapping[str, float | str]) -> dict[str, Spread]:
+    """Return spreads by kind of sensors from sizes by group of the linear model, in SI or with a unit."""
+    return {
+        kind: Spread(**{what: size_of(sizes[f"{kind}.{what}"]) for what in ("bias", "scale", "axis")})
+        for kind in ("accel", "gyro")
+    }
 
 
 _TABLE = tomllib.loads((Path(__file__).parent / "grades.toml").read_text(encoding="utf-8"))
 GRADES: Mapping[str, Grade] = MappingProxyType(
     {
-        name: Grade(**_over_instruments(name), noise=NoiseModel(**{key: size_of(size) for key, size in noise.items()}))
+        name: Grade(
+            **_spreads({group.name: group.usual[name] for group in LINEAR}),
+            noise=NoiseModel(**{key: size_of(size) for key, size in noise.items()}),
+        )
         for name, noise in _TABLE["noise"].items()
     }
 )

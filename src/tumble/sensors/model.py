@@ -37,9 +37,6 @@ _FREE_PAIRS: dict[SensorKind, tuple[str, ...]] = {
     "gyro": _ANGLE_PAIRS,
     "mag": _ANGLE_PAIRS,
 }
-_LEANING = {"xy": (0, 0), "xz": (0, 1), "yx": (1, 1), "yz": (1, 0), "zx": (2, 0), "zy": (2, 1)}
-"""Sensor of an angle of a triad, and whether it leans towards the next axis, 0, or the previous one, 1."""
-_INDEX, _NEXT, _BEFORE = np.arange(3), np.array([1, 2, 0]), np.array([2, 0, 1])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -152,7 +149,7 @@ class Block:
     def _free(self) -> list[tuple[int, int]]:
         """Sensor of every axis angle, in the order of `sensors`, and which of its two angles it is, 0 or 1."""
         if self.triad:
-            return [_LEANING[pair] for pair in _FREE_PAIRS[self.kind]]
+            return [divmod(_ANGLE_PAIRS.index(pair), 2) for pair in self.angles]
         pairs = [(p, j) for p in range(self.size) for j in (0, 1)]
         return pairs if self.kind == "gyro" else [(1, 0), *pairs[4:]]
 
@@ -197,10 +194,7 @@ class Block:
         for value, (sensor, which) in zip(angles, self._free, strict=True):
             both[sensor, which] = value
         if self.triad:
-            onward, back, out = both[:, 0], both[:, 1], np.empty((3, 3), dtype=angles.dtype)
-            out[_INDEX, _INDEX] = np.cos(onward) * np.cos(back)
-            out[_INDEX, _NEXT], out[_INDEX, _BEFORE] = np.sin(onward), np.cos(onward) * np.sin(back)
-            return np.asarray(self._signs[:, None] * out)
+            return np.asarray(self._signs[:, None] * axes_matrix(*both.ravel()))
         t = _perpendiculars(np.asarray(self.axes, dtype=float).tobytes())
         square = (both**2).sum(axis=1)[:, None]
         angle = np.sqrt(np.where(square == 0, 1.0, square))
@@ -212,12 +206,12 @@ class Block:
     def _angles_of(self, directions: Array) -> Array:
         """Return the free angles of unit sensing axes (n, 3): inverse of `_rotated`."""
         if self.triad:
-            six = axes_angles(self._signs[:, None] * directions)
-            return np.array([six[_ANGLE_PAIRS.index(pair)] for pair in self.angles])
-        sine = np.cross(self.axes, directions)
-        angle = np.arctan2(np.linalg.norm(sine, axis=1), (self.axes * directions).sum(axis=1))
-        ratio = np.where(angle == 0.0, 1.0, angle / np.where(angle == 0.0, 1.0, np.sin(angle)))
-        both = ratio[:, None] * np.einsum("pk,pjk->pj", sine, _perpendiculars(self.axes.astype(float).tobytes()))
+            both = axes_angles(self._signs[:, None] * directions).reshape(3, 2)
+        else:
+            sine = np.cross(self.axes, directions)
+            angle = np.arctan2(np.linalg.norm(sine, axis=1), (self.axes * directions).sum(axis=1))
+            ratio = np.where(angle == 0.0, 1.0, angle / np.where(angle == 0.0, 1.0, np.sin(angle)))
+            both = ratio[:, None] * np.einsum("pk,pjk->pj", sine, _perpendiculars(self.axes.astype(float).tobytes()))
         return np.array([both[p, j] for p, j in self._free])
 
     @property

@@ -305,8 +305,8 @@ def group_name(parameter: str) -> str:
 
 def units_of(parameters: Iterable[str]) -> tuple[str, ...]:
     """Return the SI units of parameters."""
-    by_group = {group.name: group.unit for group in groups()}
-    return tuple(by_group[group_name(parameter)] for parameter in parameters)
+    by_name = _by_name()
+    return tuple(by_name[group_name(parameter)].unit for parameter in parameters)
 
 
 def sensor_kind(parameter: str) -> str:
@@ -340,7 +340,11 @@ def group_of(parameter: str) -> ParameterGroup:
 
 def named_group(name: str) -> ParameterGroup | None:
     """Return the group of this name, None if the table has none."""
-    return next((group for group in (*groups(), *MAGNETIC) if group.name == name), None)
+    return _by_name().get(name)
+
+
+def _by_name() -> dict[str, ParameterGroup]:
+    return {group.name: group for group in (*groups(), *MAGNETIC)}
 
 
 def is_parameter(name: str) -> bool:
@@ -390,14 +394,8 @@ def shown_in(name: str, unit: str, magnitude: float) -> tuple[float, str]:
 
 def limits_of(parameters: Iterable[str]) -> Array:
     """Return the largest plausible deviations from nominal of parameters of these names, SI."""
-    return _limits_of(tuple(parameters)).copy()
-
-
-@lru_cache(maxsize=64)
-def _limits_of(parameters: tuple[str, ...]) -> Array:
-    """Return the same, cached: every estimate of instruments of one kind needs it."""
-    by_name = {group.name: group.limit for group in (*groups(), *MAGNETIC)}
-    return np.array([by_name[group_name(parameter)] for parameter in parameters])
+    by_name = _by_name()
+    return np.array([by_name[group_name(parameter)].limit for parameter in parameters])
 
 
 def usual_sizes(grade: str, prior: Mapping[str, float] | None = None) -> dict[str, float]:

@@ -21,7 +21,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from tumble.earth import earth_rate
 from tumble.errors import InputError
@@ -38,13 +37,12 @@ from tumble.reduction.turns.turns import (
     Turns,
     TurnSamples,
 )
-from tumble.rotation import onto_body, rotation_matrix, skew
+from tumble.rotation import UP, onto_body, rotation_matrix, skew
 from tumble.sensors.parameters import prior_sizes
 from tumble.simulation.scenario import Scenario, itinerary
-from tumble.simulation.sensors import InRunBias, SimulatedBlock
+from tumble.simulation.sensors import NODES, WEIGHTS, InRunBias, SimulatedBlock, turning, waves
 from tumble.units import Array
 
-ComplexArray = npt.NDArray[np.complex128]
 SAMPLES = 256  # of a turn
 
 
@@ -218,30 +216,12 @@ def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array, l
 
     Turns are from attitudes `start` through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are
     before the turn, as if already turning. With the axis n in the body, the rate ω of the turn and the Earth's Ω m,
-
-        exp(−[n×] ωt) L₀ᵀ exp([m×] Ωt) e_U,   exp([n×] θ) = Σ_p P_p(n) e^{ipθ},   p = −1, 0, 1
-
-    is a sum of products e^{iλt}, whose mean over an interval is the value in its middle times sinc."""
+    they are the means of exp(−[n×] ωt) L₀ᵀ exp([m×] Ωt) e_U, by Gauss–Legendre sums."""
     earth = np.array(earth_rate(scenario.setup.latitude))
     angle, earth_norm = np.linalg.norm(vector, axis=1), float(np.linalg.norm(earth))
-    P = _spectral(vector / np.where(angle > 0.0, angle, 1.0)[:, None])
-    Q = [start.swapaxes(1, 2) @ part[0, :, 1] for part in _spectral(earth[None] / earth_norm)]
-    dt = T / SAMPLES
-    middle = (np.arange(SAMPLES + AHEAD) - AHEAD + 0.5) * dt[:, None] - late
-    turned, earth_turned = np.exp(-1j * (angle / T)[:, None] * middle), np.exp(1j * earth_norm * middle)
-    waves = {(0, 0): 1.0, (0, 1): earth_turned, (1, -1): turned * earth_turned.conj()}
-    waves |= {(1, 0): turned, (1, 1): turned * earth_turned}  # the other four are the conjugates of these
-    out = np.zeros((len(T), SAMPLES + AHEAD, 3))
-    for (p, q), wave in waves.items():
-        part = (P[p + 1] @ Q[q + 1][:, :, None]).swapaxes(1, 2)
-        sinc = np.sinc(0.5 / np.pi * (q * earth_norm - p * angle / T) * dt)
-        mean = wave * (sinc if p == q == 0 else 2.0 * sinc)[:, None]
-        out += (mean[:, :, None] * part).real
-    return out
-
-
-def _spectral(axis: Array) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Return P₋₁, P₀, P₁ (K, 3, 3) of rotations about unit vectors n (K, 3): exp([n×] θ) = Σ P_p e^{ipθ}."""
-    along = axis[:, :, None] * axis[:, None, :]
-    across, turned = 0.5 * (np.eye(3) - along), 0.5j * skew(axis)
-    return across + turned, np.asarray(along, dtype=complex), across - turned
+    axis = vector / np.where(angle > 0.0, angle, 1.0)[:, None]
+    t = (np.arange(SAMPLES + AHEAD)[:, None] - AHEAD + NODES) * (T / SAMPLES)[:, None, None] - late
+    by_earth, by_turn = waves(-earth_norm * t), waves((angle / T)[:, None, None] * t)
+    mean = np.einsum("ksnp,ksnq,n->kspq", by_earth, by_turn, WEIGHTS)
+    parts = turning(axis[:, None], turning(earth / earth_norm, UP) @ start)  # in the body, by earth and turn
+    return np.asarray(mean.reshape(*t.shape[:2], 9) @ parts.reshape(-1, 9, 3))

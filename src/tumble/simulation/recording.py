@@ -28,11 +28,9 @@ from tumble.planning.itinerary import Itinerary
 from tumble.rotation import UP, skew
 from tumble.sensors.model import Block
 from tumble.simulation.scenario import Scenario, itinerary
-from tumble.simulation.sensors import SimulatedBlock
+from tumble.simulation.sensors import NODES, WEIGHTS, SimulatedBlock, turning, waves
 from tumble.units import Array
 
-_LEGENDRE = np.polynomial.legendre.leggauss(6)
-_NODES, _WEIGHTS = 0.5 * (_LEGENDRE[0] + 1.0), 0.5 * _LEGENDRE[1]  # Gauss–Legendre on 0…1
 _PANELS_PER_CYCLE = 4.0
 _MAX_SAMPLES = 30_000_000  # eight hours at 1 kHz, 1.5 GB
 _CHUNK = 1 << 13  # samples made at a time
@@ -142,20 +140,19 @@ def _in_move(
     kinks = np.array([0.0, profile.ramp, T - profile.ramp, T]) * fs - passed
     inside = kinks[(kinks > 0.0) & (kinks < last - first)]
     panels = np.unique(np.concatenate([np.arange((last - first) * per_sample + 1) / per_sample, inside]))
-    nodes = panels[:-1, None] + np.diff(panels)[:, None] * _NODES
+    nodes = panels[:-1, None] + np.diff(panels)[:, None] * NODES
     theta = profile.angle((nodes + passed) / fs, total)
     rate, change = (each[..., None] for each in profile.rates((nodes + passed) / fs, total))
-    waves = np.stack([np.ones_like(theta), np.cos(theta), np.sin(theta)], axis=-1)
     vertical = np.full_like(theta, scenario.setup.gravity)
     if vibration.amplitude > 0.0:
         seconds = (first + nodes - late * fs) / fs
         vertical += vibration.amplitude * np.sin(2.0 * np.pi * vibration.frequency * seconds)
-    earth_b, axis_b = waves @ _turning(n, earth) @ L, n @ L
-    force = vertical[..., None] * waves @ _turning(n, UP) @ L
+    earth_b, axis_b = waves(theta) @ turning(n, earth) @ L, n @ L
+    force = vertical[..., None] * waves(theta) @ turning(n, UP) @ L
     changes = change * axis_b - rate * np.cross(axis_b, earth_b)
     force, rates, changes = (each.reshape(-1, 3) for each in (force, earth_b + rate * axis_b, changes))
     readings = sensors.read(_with_levers(sensors, force, rates, changes), rates, (first + nodes).ravel() / fs)
-    integrals = np.einsum("pnk,n,p->pk", readings.reshape(*theta.shape, -1), _WEIGHTS, np.diff(panels))
+    integrals = np.einsum("pnk,n,p->pk", readings.reshape(*theta.shape, -1), WEIGHTS, np.diff(panels))
     return np.asarray(np.add.reduceat(integrals, np.searchsorted(panels, np.arange(last - first)), axis=0))
 
 
@@ -165,9 +162,3 @@ def _with_levers(sensors: SimulatedBlock, force: Array, rate: Array, change: Arr
         return force
     around = skew(change) + skew(rate) @ skew(rate)
     return np.asarray(force[:, None] + np.einsum("nij,pj->npi", around, sensors.arms))
-
-
-def _turning(n: Array, vector: Array) -> Array:
-    """Return rows a, b, c with Rᵀ vector = a + b cos θ + c sin θ for the rotation R by θ about n."""
-    along = n * (n @ vector)
-    return np.stack([along, vector - along, -np.cross(n, vector)])

@@ -272,7 +272,7 @@ class Registry:
         items = []
         for serial, records in by_serial.items():
             latest, limits = records[-1], in_force.get(records[-1].model or "")
-            months = None if limits is None else limits.device_months.get(serial, limits.months)
+            months = None if limits is None else limits.device_interval_months.get(serial, limits.interval_months)
             day = None if months is None else months_later(latest.performed.date(), months)
             items.append(Due(record=latest, calibrations=len(records), on=on, months=months, day=day))
         return sorted(items, key=lambda item: (not item.withdrawn, item.day or date.max, item.record.serial))

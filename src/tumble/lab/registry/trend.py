@@ -20,10 +20,10 @@ priors. If g_i is the change of y_i by one standard uncertainty of such a source
 |g_i − ḡ|² added, because a constant error is not part of a drift (`tumble.result.shared_errors`). A parameter that is
 known only by its prior has neither τ nor drift.
 
-A change has the expanded uncertainty U = t(ν) u with ν by Welch and Satterthwaite (`tumble.result.coverage`). Whether
-the latest change is significant is decided by the comparison of the two calibrations (`tumble.use.compare`).
+The latest change in use, and whether it is significant, are those of the comparison of the last two calibrations
+without an adjustment between them (`tumble.use.compare`).
 
-Sources: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t; ISO 13528, 9.7 for E_n.
+Sources: Mandel & Paule, Anal. Chem. 42 (1970) 1194, for τ; JCGM 100 (GUM) G.4 for t.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from typing import ClassVar
 import numpy as np
 import scipy
 
-from tumble.lab.conformity import Result, judge_check
+from tumble.lab.conformity import Verdict, judge_check
 from tumble.lab.limits import Limits
 from tumble.lab.registry.records import Record, State
 from tumble.methods.least_squares import fit_scatter
@@ -46,7 +46,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.coverage import gravity_sensitivity, unshared_variance
 from tumble.result.shared_errors import prior_sensitivities, time_base_sensitivity
 from tumble.units import Array
-from tumble.use.compare import Comparison, Difference, compare_calibrations
+from tumble.use.compare import Comparison, compare_calibrations
 
 YEAR = timedelta(days=365.25)
 COVERED = float(scipy.special.ndtr(2.0))
@@ -85,17 +85,6 @@ class Drift:
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
-class Change(Difference):
-    """Change of a parameter between two records, by an `adjustment` or in use."""
-
-    json_fields: ClassVar[tuple[str, ...]] = (*Difference.json_fields, "earlier", "later", "adjustment")
-
-    earlier: int
-    later: int
-    adjustment: bool
-
-
-@dataclass(frozen=True, kw_only=True, slots=True)
 class ParameterTrend:
     """A parameter over the calibrations of a device. `run_to_run` is the pooled standard deviation of launches about
     the means of their calibrations, SI, with its degrees of freedom; `instability` is τ, None if it is unknown."""
@@ -107,30 +96,22 @@ class ParameterTrend:
     run_to_run_degrees: int
     instability: float | None
     drift: Drift | None
-    changes: tuple[Change, ...]
-
-    @property
-    def last_change(self) -> Change | None:
-        """The last change that was not an adjustment."""
-        return next((change for change in reversed(self.changes) if not change.adjustment), None)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Trend:
     """Trend of all parameters of a device in one `frame`.
 
-    `limits` are the lowest and the highest value of each parameter, SI, in the periodic check that is in force now,
-    `results` those of the latest calibration by them.
-    `comparison` compares two consecutive calibrations, the last ones without an adjustment between them, whose records
-    have the numbers `compared`; None without two."""
+    `acceptance` is the verdict on the latest calibration by the limits of the periodic check that are in force now,
+    None without any. `comparison` compares two consecutive calibrations, the last ones without an adjustment between
+    them, whose records have the numbers `compared`; None without two."""
 
-    json_fields: ClassVar = ("serial", "frame", "limits", "parameters", "changed")
+    json_fields: ClassVar = ("serial", "frame", "acceptance", "parameters", "comparison", "compared", "changed")
 
     latest: Record
     frame: str
     parameters: tuple[ParameterTrend, ...]
-    limits: Mapping[str, tuple[float, float]]
-    results: Mapping[str, Result]
+    acceptance: Verdict | None
     comparison: Comparison | None
     compared: tuple[int, int] | None
 
@@ -189,38 +170,22 @@ def trend_of(past: Sequence[tuple[Record, Calibration]], limits: Limits | None) 
         (earlier, first), (later, second) = in_use[-1]
         if set(first) & set(second):
             comparison, compared = compare_calibrations(first, second), (earlier.number, later.number)
-    intervals = {} if limits is None else {name: limits.of(name, "periodic") for name in points}
-    verdict = None if limits is None else judge_check(past[-1][1], limits, "periodic")
     return Trend(
         latest=past[-1][0],
         frame=past[-1][1].frame,
         parameters=tuple(parameter_trend(name, units[name], series) for name, series in points.items()),
-        limits={name: interval for name, interval in intervals.items() if interval is not None},
-        results={} if verdict is None else {j.name: j.result for j in verdict.judgements},
+        acceptance=None if limits is None else judge_check(past[-1][1], limits, "periodic"),
         comparison=comparison,
         compared=compared,
     )
 
 
 def parameter_trend(name: str, unit: str, points: Sequence[Point]) -> ParameterTrend:
-    """Return the instability from run to run, the drift and the changes of a parameter."""
+    """Return the instability from run to run and the drift of a parameter."""
     launches = [np.array([value for value, _ in p.launches]) for p in points if p.launches]
     degrees = sum(len(values) - 1 for values in launches)
     squares = sum(float(np.sum((values - values.mean()) ** 2)) for values in launches)
     instability, drift = _instability_and_drift(points)
-    changes = [
-        Change.between(
-            first,
-            second,
-            *_shared([first, second]),
-            name=name,
-            unit=unit,
-            earlier=first.number,
-            later=second.number,
-            adjustment=second.state == "as-left",
-        )
-        for first, second in pairwise(points)
-    ]
     return ParameterTrend(
         name=name,
         unit=unit,
@@ -229,21 +194,16 @@ def parameter_trend(name: str, unit: str, points: Sequence[Point]) -> ParameterT
         run_to_run_degrees=degrees,
         instability=instability,
         drift=drift,
-        changes=tuple(changes),
     )
-
-
-def _shared(points: Sequence[Point]) -> Array:
-    """Return the changes (n, k) of the points by one standard uncertainty of each source that all of them share."""
-    common = [source for source in points[0].shared if all(source in p.shared for p in points)]
-    return np.array([[p.shared[source] for source in common] for p in points]).reshape(len(points), len(common))
 
 
 def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift | None]:
     """Return τ and the drift (module docstring), each None if the points do not determine it."""
     if not points or not all(p.u and all(u for _, u in p.launches) for p in points):
         return None, None
-    shared = _shared(points)
+    # changes (n, k) of the points by one standard uncertainty of each source that all of them share
+    sources = [source for source in points[0].shared if all(source in p.shared for p in points)]
+    shared = np.array([[p.shared[source] for source in sources] for p in points]).reshape(len(points), len(sources))
     common = ((shared - shared.mean(axis=0)) ** 2).sum(axis=1)
     variance = np.array([unshared_variance(p.u, None, g)[0] for p, g in zip(points, shared, strict=True)]) + common
     launch_variances = [
@@ -254,14 +214,9 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
     if not variance.all() or not within.all():
         return None, None
     count = np.array([max(len(p.launches), 1) for p in points])
-    # v_i without τ²: its value for the mean of launches, and its lower bound
-    mean_variance = np.array(
-        [
-            sum(several) / len(several) ** 2 if several else v
-            for several, v in zip(launch_variances, variance, strict=True)
-        ]
+    without_tau = np.array(
+        [sum(of) / len(of) ** 2 if of else v for of, v in zip(launch_variances, variance, strict=True)]
     )
-    smallest = np.array([v if p.launches else 0.0 for p, v in zip(points, variance, strict=True)])
 
     # design matrix: a column for the level of each stretch, and one for the years if any stretch has two times
     stretch = np.cumsum([i > 0 and p.state == "as-left" for i, p in enumerate(points)])
@@ -273,7 +228,7 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
 
     def fit_line(tau: float) -> tuple[Array, Array, float]:
         """Return Qᵀy and R of the whitened columns, and the chi-square of the residuals."""
-        u = np.sqrt(np.maximum(smallest, mean_variance + tau**2 / count))
+        u = np.sqrt(np.maximum(variance, without_tau + tau**2 / count))
         Q, R = np.linalg.qr(X / u[:, None])
         z = Q.T @ (y / u)
         return z, R, float(np.sum((y / u - Q @ z) ** 2))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from datetime import date
 from math import nan
 from typing import TYPE_CHECKING
 
-from tumble.lab.conformity import DECISION_RULE, RISK_DEFINITION, Verdict, risk_text
+from tumble.lab.conformity import DECISION_RULE, RISK_DEFINITION, LimitJudgement, Verdict, risk_text
 from tumble.lab.registry.records import Due, LimitsRecord, Record
 from tumble.lab.registry.registry import logs_of
 from tumble.result.calibration import Calibration
@@ -49,12 +49,10 @@ def _text_table(columns: tuple[str, ...], rows: Iterable[tuple[object, ...]]) ->
 def device_table(records: Sequence[Record]) -> Table:
     """Return a table of the devices with their latest records, from records in chronological order."""
     serials = [r.serial for r in records]
-    latest = {r.serial: r for r in records}
-    verdicts = {serial: f"{r.verdict}: withdrawn" if r.withdrawn else r.verdict for serial, r in latest.items()}
-    rows = (
-        (serial, r.model, serials.count(serial), _day(r.performed), r.number, r.occasion, verdicts[serial])
-        for serial, r in sorted(latest.items())
-    )
+    rows = []
+    for serial, r in sorted({r.serial: r for r in records}.items()):
+        verdict = f"{r.verdict}: withdrawn" if r.withdrawn else r.verdict
+        rows.append((serial, r.model, serials.count(serial), _day(r.performed), r.number, r.occasion, verdict))
     return _text_table(("device", "type", "calibrations", "latest", "record", "check", "verdict"), rows)
 
 
@@ -101,17 +99,16 @@ def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | N
         *(f"launch {session or 1} · log {log}" for session, log in logs_of(calibration) if log),
         f"content {record.sha256}",
     ]
-    judged = {} if verdict is None else {j.name: j for j in verdict.judgements}
+    judged = _by_name(verdict)
     shown, caption = _select_parameters(calibration.parameters, judged, every=every)
 
     def row(p: Parameter, size: float, unit: str) -> dict[str, str]:
-        value, U = with_expanded(p, size)
+        row = dict(zip(("value", "U"), with_expanded(p, size), strict=True))
         if not judged:
-            return {"value": value, "U": U, "unit": unit}
+            return row | {"unit": unit}
         j = judged.get(p.name)
-        low, high, risk, result = (nan, nan, None, "") if j is None else (j.low, j.high, j.risk, j.result)
-        limits = {"lowest": limit_cell(low, size), "highest": limit_cell(high, size), "risk": risk_text(risk)}
-        return {"value": value, "U": U, **limits, "unit": unit, "verdict": result}
+        risk, result = ("", "") if j is None else (risk_text(j.risk), j.result)
+        return row | _limit_cells(judged, p.name, size) | {"risk": risk, "unit": unit, "verdict": result}
 
     sentences = ["no verdict: no limits were in force for this type and check when the record was added"]
     if not record.accepted:
@@ -122,6 +119,17 @@ def record_blocks(record: Record, calibration: Calibration, verdict: Verdict | N
     remarks = [f"remark: {remark}" for remark in calibration.outcome.remarks]
     parameters = quantity_table(shown, shown_units(shown), row, words=("verdict",), caption=caption)
     return ["\n".join(lines), parameters, Items(items=(*remarks, *sentences))]
+
+
+def _by_name(verdict: Verdict | None) -> Mapping[str, LimitJudgement]:
+    """Return the judgements of a verdict by the names of their parameters."""
+    return {} if verdict is None else {j.name: j for j in verdict.judgements}
+
+
+def _limit_cells(judged: Mapping[str, LimitJudgement], name: str, size: float) -> dict[str, str]:
+    """Return the cells with the limits of a parameter, empty without limits."""
+    low, high = (judged[name].low, judged[name].high) if name in judged else (nan, nan)
+    return {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
 
 
 def _select_parameters(parameters: Sequence[Q], kept: Collection[str], *, every: bool) -> tuple[list[Q], str]:
@@ -140,7 +148,9 @@ def _select_parameters(parameters: Sequence[Q], kept: Collection[str], *, every:
 def trend_blocks(trend: Trend, *, every: bool) -> list[Block]:
     """Return a table of the parameters of a device over its calibrations, with the verdict on the latest value. Unless
     `every`, parameters beyond the linear model that have no limits and have not changed are only counted."""
-    shown, caption = _select_parameters(trend.parameters, {*trend.limits, *trend.changed}, every=every)
+    judged = _by_name(trend.acceptance)
+    differences = {} if trend.comparison is None else {d.name: d for d in trend.comparison.differences}
+    shown, caption = _select_parameters(trend.parameters, {*judged, *trend.changed}, every=every)
     has_launches = any(parameter.run_to_run is not None for parameter in trend.parameters)
     units = units_of_values((t.name, p.value, t.unit) for t in trend.parameters for p in t.points)
 
@@ -148,21 +158,19 @@ def trend_blocks(trend: Trend, *, every: bool) -> list[Block]:
         latest, drift = parameter.points[-1], parameter.drift
         value, U = with_expanded(latest, size)
         row = {"history": _sparkline([p.value for p in parameter.points]), "latest": value, "U": U}
-        if trend.limits:
-            low, high = trend.limits.get(parameter.name, (nan, nan))
-            row |= {"lowest": limit_cell(low, size), "highest": limit_cell(high, size)}
+        if judged:
+            row |= _limit_cells(judged, parameter.name, size)
         if has_launches:
             row["run to run"] = run_to_run(parameter.run_to_run, size)
         per_year, U = ("", "")
         if drift is not None and drift.expanded is not None:
             per_year, U = cells(drift.per_year, drift.expanded, size)
         row |= {"drift/year": per_year, "U (95 %)": U, "change": "", "E_n": "", "unit": unit}
-        change = parameter.last_change
-        if change is not None and (change.earlier, change.later) == trend.compared:
+        if (change := differences.get(parameter.name)) is not None:
             row["change"] = cells(change.value, change.expanded, size)[0]
             row["E_n"] = "" if change.e_n is None else f"{change.e_n:+z.2f}"
-        if trend.limits:
-            row["verdict"] = trend.results.get(parameter.name, "")
+        if judged:
+            row["verdict"] = judged[parameter.name].result if parameter.name in judged else ""
         return row
 
     days = {p.number: _day(p.performed) for parameter in trend.parameters for p in parameter.points}
