@@ -33,10 +33,27 @@ KEYS = (
     *("format", "device", "method", "frame", "parameters", "covariance", "site", "rests", "turns", "fits"),
     *("accel", "gyro", "mag", "correction", "outcome", "groups", "hyperparameters", "integral", "process_bias"),
     *("budget", "prediction", "axes", "temperature", "iterations", "sample_rate", "clock_u", "circumstances"),
-    *("programme", "readings", "notes", "assumptions", "absent", "remedies", "launches", "together", "provenance"),
+    *(
+        "programme",
+        "readings",
+        "notes",
+        "assumptions",
+        "unstated",
+        "absent",
+        "remedies",
+        "launches",
+        "together",
+        "provenance",
+    ),
 )
 """Keys of the file in their order; `circumstances` is written as "session"."""
-_SENTENCES = ("notes", "assumptions", "absent", "remedies")  # keys of texts that may have control characters
+_SENTENCES = (
+    "notes",
+    "assumptions",
+    "unstated",
+    "absent",
+    "remedies",
+)  # keys of texts that may have control characters
 ORIGIN = ("log_sha256", "software", "created", "prior")  # fields of `Provenance` in the table "provenance"
 
 

@@ -44,6 +44,16 @@ class CaseAlignment:
     scatter: float
     placements: int
 
+    @property
+    def note(self) -> str:
+        """The placements and the uncertainty of the alignment in words."""
+        u = ", ".join(f"{each:.2g}°" for each in np.sqrt(np.diag(self.alignment.covariance)) / DEGREE)
+        return (
+            f"case: from {self.placements} rests on its six faces, which scatter by {self.scatter / DEGREE:.2g}° an "
+            f"axis; standard uncertainty of its alignment {u} about X, Y, Z; the tilt of the plate is part of the "
+            "scatter"
+        )
+
 
 def vertical_by_parameters(model: SensorModel, force: Array, change: Array) -> Array:
     """Return the derivative (N, 3, m) of the vertical at rest with respect to parameters.
@@ -52,13 +62,6 @@ def vertical_by_parameters(model: SensorModel, force: Array, change: Array) -> A
     u = unit_vector(force)
     length = np.linalg.norm(force, axis=1)[:, None, None]
     return np.asarray(-(np.eye(3) - u[:, :, None] * u[:, None, :]) @ model.inverse() / length @ change)
-
-
-def rotation_between(first: Array, second: Array) -> Array:
-    """Return the rotation (3, 3) that best takes unit vectors (N, 3) `second` to `first` (Wahba)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.align_vectors(first, second)[0].as_matrix())
 
 
 # -------------------- the case --------------------
@@ -73,7 +76,9 @@ def align_case(vertical: Array, by_parameters: Array, normals_c: Array) -> CaseA
         raise InputError(
             f"case: expected placements on faces in three directions, found {len(normals_c)} placements in fewer"
         )
-    mat_cb = rotation_between(normals_c, vertical)
+    from scipy.spatial.transform import Rotation
+
+    mat_cb = np.asarray(Rotation.align_vectors(normals_c, vertical)[0].as_matrix())  # Wahba
     vertical_c = vertical @ mat_cb.T
     scatter = float(np.sqrt((np.cross(vertical_c, normals_c) ** 2).sum() / (2 * len(normals_c) - 3)))
     products = vertical_c.T @ normals_c
