@@ -57,15 +57,11 @@ ONE_RATE = 1.3
 rates, scale factors that change with the square of the rate would be seven times less certain."""
 
 
-def new_provenance(**fields: Any) -> Provenance:
-    """Return the provenance of a calibration made now, with these fields of `Provenance`."""
+def origin_of(*digests: str) -> dict[str, Any]:
+    """Return the fields of `Provenance` of a calibration made now from logs with these SHA-256."""
+    joint = digests[0] if len(digests) == 1 else hashlib.sha256("\n".join(digests).encode()).hexdigest()
     created = datetime.now(UTC).isoformat(timespec="seconds")
-    return Provenance(software=f"tumble {__version__}", created=created, **fields)
-
-
-def joint_digest(digests: Iterable[str]) -> str:
-    """Return the SHA-256 of a list of SHA-256."""
-    return hashlib.sha256("\n".join(digests).encode()).hexdigest()
+    return {"log_sha256": joint, "software": f"tumble {__version__}", "created": created}
 
 
 def assemble(
@@ -86,7 +82,7 @@ def assemble(
         device=CalibratedDevice(serial=device.serial, model=device.model, imu=device.imu),
         method=method,
         outcome=outcome,
-        provenance=new_provenance(**{**of_session, **provenance}),
+        provenance=Provenance(**{**of_session, **provenance}),
         **{**nothing, **results},
     )
 

@@ -42,7 +42,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.parts import SERIAL_NOT_STATED, Evidence
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.case import estimate_in
-from tumble.run.from_estimate import assemble, build_parameters, readings_of_session
+from tumble.run.from_estimate import assemble, build_parameters, origin_of, readings_of_session
 from tumble.run.readings_table import (
     UNITS,
     ReadingsTable,
@@ -198,8 +198,7 @@ def calibrate_readings(
     readings_u, unstated = (), [f"{SERIAL_NOT_STATED}: the name of the table stands for it"] if serial is None else []
     if fit is not None and (table.degrees or fit.scatter == 0.0):  # else the scatter of the fit contains it
         readings_u = tuple((table.row_u * np.abs(channels.unit.factor / channels.scale)).tolist())
-    provenance = {
-        "log_sha256": table.sha256,
+    provenance = origin_of(table.sha256) | {
         "readings": {"accel": replace(readings_of_session(session)["accel"], row_u=readings_u)},
         "notes": (*unstated, *table.left_out, _gravity_note(site), *notes, *_fit_notes(table, fit), *fit_notes),
     }

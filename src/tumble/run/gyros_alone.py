@@ -30,7 +30,7 @@ from tumble.result.calibration import Calibration
 from tumble.result.parts import Evidence
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.rotation import UP
-from tumble.run.from_estimate import assemble, parameters_of, readings_of_session
+from tumble.run.from_estimate import assemble, origin_of, parameters_of, readings_of_session
 from tumble.run.observed import Progress
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, SensorModel
@@ -122,8 +122,7 @@ def calibrate_gyros(rests: GyroRests) -> Calibration:
         f"g-sensitivity usual for the grade {grade}",
         *(f"doubt: {doubt}" for doubt in session.log.doubts),
     )
-    provenance = {
-        "log_sha256": rests.sha256,
+    provenance = origin_of(rests.sha256) | {
         "site": None,
         "sample_rate": rests.rate,
         "readings": {"gyro": readings_of_session(session)["accel"]},

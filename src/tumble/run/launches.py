@@ -38,11 +38,11 @@ from tumble.result.coverage import (
     welch_satterthwaite,
 )
 from tumble.result.launch_variances import at_temperature
-from tumble.result.parts import CalibratedTemperature, Evidence, Parameter, SourceContributions
+from tumble.result.parts import CalibratedTemperature, Evidence, Parameter, Provenance, SourceContributions
 from tumble.result.shared_errors import is_device_property, prior_sensitivities
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate
-from tumble.run.from_estimate import joint_digest, new_provenance, parameters_of
+from tumble.run.from_estimate import origin_of, parameters_of
 from tumble.run.magnetometer import PARAMETER_NAMES
 from tumble.run.observed import Progress
 from tumble.sensors.frames import Convention, Frame, frame_of
@@ -191,8 +191,8 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
             ),
             launches=tuple(run.calibration.as_launch(run.name) for run in runs),
         ),
-        provenance=new_provenance(
-            log_sha256=joint_digest(digests),
+        provenance=Provenance(
+            **origin_of(*digests),
             site=_common([each.site for each in sources]),
             sample_rate=_mean_where_known([each.sample_rate for each in sources]),
             clock_u=clock_u,

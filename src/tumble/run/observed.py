@@ -44,6 +44,7 @@ from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rest
 from tumble.reduction.turns.links import links_of
 from tumble.reduction.turns.turns import clipping_limits, torn_turns, without_ambiguous_turns
 from tumble.rotation import onto_body
+from tumble.run.from_estimate import origin_of
 from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import prior_sizes, usual_sizes
@@ -102,7 +103,7 @@ class Observed(Judged):
     @property
     def origin(self) -> dict[str, Any]:
         """Log, sample rate and circumstances, as fields of `Provenance`."""
-        return {"log_sha256": self.sha256, "sample_rate": self.rate, "circumstances": self.circumstances}
+        return origin_of(self.sha256) | {"sample_rate": self.rate, "circumstances": self.circumstances}
 
 
 OTHER_GRADE_NOISE = 10.0  # ratio to the usual white noise of a grade; within a grade noise differs by a factor of 3

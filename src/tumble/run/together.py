@@ -24,7 +24,7 @@ from tumble.reduction.observations import Observations, join_sessions
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Member
 from tumble.run.calibrate import Options, assumptions, estimate_observations
-from tumble.run.from_estimate import assemble, build_calibration, joint_digest, parameters_of
+from tumble.run.from_estimate import assemble, build_calibration, origin_of, parameters_of
 from tumble.run.launches import check_recordings, joint_circumstances
 from tumble.run.observed import Progress, inspect_session, observations_for_calibration, observations_in_parts
 from tumble.sensors.frames import Frame
@@ -78,10 +78,9 @@ def calibrate_together(
     recorded = [inspect_session(session, progress=progress) for session in described]
     names = [Path(session.name).name or session.name for session in described]
     first = replace(described[0], programme=None)
-    provenance = {
-        "log_sha256": joint_digest(observed.sha256 for observed in recorded),
-        "circumstances": joint_circumstances([observed.circumstances for observed in recorded]),
-    }
+    digests = [observed.sha256 for observed in recorded]
+    circumstances = joint_circumstances([observed.circumstances for observed in recorded])
+    provenance = origin_of(*digests) | {"circumstances": circumstances}
     parts, faults = list[tuple[Observations, IntArray]](), list[str]()
     for name, observed in zip(names, recorded, strict=True):
         part = observations_in_parts(observed)
@@ -96,16 +95,18 @@ def calibrate_together(
             )
     if faults:
         return assemble(first, "joint", Outcome(reasons=tuple(faults)), provenance)
-    check_recordings(described, [observed.sha256 for observed in recorded])
+    check_recordings(described, digests)
     members = list[Member]()
-    for session, name, observed, (observations, _) in zip(described, names, recorded, parts, strict=True):
+    for session, name, digest, observed, (observations, _) in zip(
+        described, names, digests, recorded, parts, strict=True
+    ):
         kelvin, turns = observations.rests.temperature, observations.turns
         if kelvin is None:
             raise InputError(f"{session.name}: expected temperatures in the log, found none that are numbers")
         members.append(
             Member(
                 session=name,
-                log_sha256=observed.sha256,
+                log_sha256=digest,
                 rests=len(observations.rests),
                 turns=0 if turns is None else int((turns.duration > 0.0).sum()),
                 temperatures=(float(kelvin.min()) - ZERO_CELSIUS, float(kelvin.max()) - ZERO_CELSIUS),

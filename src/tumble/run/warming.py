@@ -63,8 +63,7 @@ from tumble.run.from_estimate import (
     calibrated_temperature,
     check_sensors,
     extended,
-    joint_digest,
-    new_provenance,
+    origin_of,
     parameters_of,
     rest_results,
 )
@@ -128,17 +127,15 @@ def calibrate_warming(observed: Observed, base: Calibration | None) -> Calibrati
     estimate, observations = _estimated(session, observations, base, readings)
     calibration = base or _nominal(observed, estimate, observations)
     calibration = _with_coefficients(calibration, estimate, observations, session)
-    before, now, log_sha256 = calibration.provenance, new_provenance(), observed.sha256
+    before, digests = calibration.provenance, [observed.sha256]
     if base is not None:
-        log_sha256 = joint_digest([before.log_sha256 or "", log_sha256])
+        digests.insert(0, before.log_sha256 or "")
     return extended(
         calibration,
         notes=(*notes, *_notes(estimate, observations, base)),
         assumptions=(*before.assumptions, *_assumptions(observations, session.log.doubts)),
-        log_sha256=log_sha256,
-        software=now.software,
-        created=now.created,
         sample_rate=before.sample_rate or observed.rate,
+        **origin_of(*digests),
     )
 
 
