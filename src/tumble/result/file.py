@@ -33,27 +33,12 @@ KEYS = (
     *("format", "device", "method", "frame", "parameters", "covariance", "site", "rests", "turns", "fits"),
     *("accel", "gyro", "mag", "correction", "outcome", "groups", "hyperparameters", "integral", "process_bias"),
     *("budget", "prediction", "axes", "temperature", "iterations", "sample_rate", "clock_u", "circumstances"),
-    *(
-        "programme",
-        "readings",
-        "notes",
-        "assumptions",
-        "unstated",
-        "absent",
-        "remedies",
-        "launches",
-        "together",
-        "provenance",
-    ),
+    *("programme", "readings", "notes", "assumptions", "unstated", "absent", "remedies"),
+    *("launches", "together", "provenance"),
 )
 """Keys of the file in their order; `circumstances` is written as "session"."""
-_SENTENCES = (
-    "notes",
-    "assumptions",
-    "unstated",
-    "absent",
-    "remedies",
-)  # keys of texts that may have control characters
+# keys of texts that may have control characters
+_SENTENCES = ("notes", "assumptions", "unstated", "absent", "remedies")
 ORIGIN = ("log_sha256", "software", "created", "prior")  # fields of `Provenance` in the table "provenance"
 
 

@@ -231,15 +231,12 @@ def _minor_assumptions(calibration: Calibration) -> list[str]:
     Its source then contributes at most half of u² of every parameter, and nothing needs to be done."""
     if not calibration.evidence.budget or not accepted_kinds(calibration):
         return []
-    contributions = {line.name: line.contributions for line in calibration.evidence.budget}
-    return [
-        sentence
-        for sentence, source in calibration.provenance.unstated.items()
-        if all(
-            2.0 * contributions.get(source, {}).get(p.name, 0.0) ** 2 <= (p.u or 0.0) ** 2
-            for p in calibration.parameters
-        )
-    ]
+    minor, contributions = list[str](), {line.name: line.contributions for line in calibration.evidence.budget}
+    for sentence, source in calibration.provenance.unstated.items():
+        parts = contributions.get(source, {})
+        if all(2.0 * parts.get(p.name, 0.0) ** 2 <= (p.u or 0.0) ** 2 for p in calibration.parameters):
+            minor.append(sentence)
+    return minor
 
 
 def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
