@@ -165,12 +165,11 @@ def calibrate_readings(
         rows = read_table(Path(readings))
     else:
         rows = readings if isinstance(readings, ReadingsTable) else table_of(np.asarray(readings))
-    table, site = positions_of(rows, rows_per_position), site_of(gravity, gravity_u)
+    table, (site, gravity_note) = positions_of(rows, rows_per_position), site_of(gravity, gravity_u)
     channels, notes = channels_of(
         table, site.gravity, unit=unit, scale=scale, scale_per=scale_per, directions=directions or {}
     )
     rests = _rests_of(table, channels, site)
-    _check_lengths(table, rests.rests.accel)
     if grade is not None:
         grade_named(grade)
     fitted, used = _fitted(rests, table.degrees, _sigmas(OUTLIER_PROBABILITY, len(table.values)))
@@ -200,7 +199,7 @@ def calibrate_readings(
         readings_u = tuple((table.row_u * np.abs(channels.unit.factor / channels.scale)).tolist())
     provenance = origin_of(table.sha256) | {
         "readings": {"accel": replace(readings_of_session(session)["accel"], row_u=readings_u)},
-        "notes": (*unstated, *table.left_out, _gravity_note(site), *notes, *_fit_notes(table, fit), *fit_notes),
+        "notes": (*unstated, *table.left_out, gravity_note, *notes, *_fit_notes(table, fit), *fit_notes),
     }
     results = dict[str, Any]() if estimate is None else _results(estimate, fit, rests, grade, frame)
     method = "ellipsoid" if estimate is None else estimate.method
@@ -235,8 +234,10 @@ def _results(
     }
 
 
-def _check_lengths(table: ReadingsTable, readings: Array) -> None:
-    """Raise InputError if a reading of (N, 3), SI, is far longer than the others."""
+def _rests_of(table: ReadingsTable, channels: Channels, site: Site) -> Observations:
+    """Return the readings as mean readings of rests, with the covariance of the last digit and of the scatter within
+    positions. Raises InputError if a reading is far longer than the others."""
+    readings, size = channels.to_si(table.values, NO_TIMES), channels.unit.factor / channels.scale
     lengths = np.linalg.norm(readings, axis=1)
     longest, median = int(np.argmax(lengths)), float(np.median(lengths))
     if lengths[longest] > WILD_RATIO * median > 0.0:
@@ -245,16 +246,10 @@ def _check_lengths(table: ReadingsTable, readings: Array) -> None:
             f"{table.path}: line {table.lines[longest]}: expected readings of one vector, all about as long, found "
             f"{found}, {lengths[longest] / median:.3g} times as long as the median; correct the row or leave it out"
         )
-
-
-def _rests_of(table: ReadingsTable, channels: Channels, site: Site) -> Observations:
-    """Return the readings as mean readings of rests, with the covariance of the last digit and of the scatter within
-    positions."""
-    size = channels.unit.factor / channels.scale
     covariance = np.diag((table.resolution_u * size) ** 2)
     if table.covariance is not None:
         covariance += table.covariance * np.outer(size, size)
-    return table_rests(channels.to_si(table.values, NO_TIMES), covariance, TRIAD, site)
+    return table_rests(readings, covariance, TRIAD, site)
 
 
 def _fitted(rests: Observations, degrees: int, outlier_sigmas: float) -> tuple[EllipsoidFit | Refusal, Observations]:
@@ -409,19 +404,6 @@ def _misstated(channels: Channels, outputs_si: Array | None) -> str | None:
         fault = f"the outputs seen are {outputs} {name}/{per}, the scale states {stated}"
         fitting += [f"--scale={outputs}".replace(" ", "")]
     return f"{fault}; {' or '.join(fitting) or 'another unit or scale'} would fit"
-
-
-def _gravity_note(site: Site) -> str:
-    """Return a note on gravity."""
-    if site.gravity_is_unit:
-        return Advised(
-            "gravity is not stated: the unit is g at the place of the readings, printed as 9.80665 m/s^2; u does not "
-            "include the difference, up to 0.3 %",
-            "for values in m/s^2 give --gravity and --gravity-u",
-        )
-    if site.gravity_u == 0.0:
-        return "gravity is taken as exact, as stated"
-    return f"gravity {site.gravity:.9g} m/s^2 with u = {site.gravity_u:.2g} m/s^2, in all scale factors"
 
 
 def _fit_notes(table: ReadingsTable, fit: EllipsoidFit | None) -> Iterator[str]:

@@ -232,9 +232,10 @@ def table_rests(readings: Array, covariance: Array, block: Block, site: Site) ->
 # -------------------- unit, scale and gravity --------------------
 
 
-def site_of(gravity: float | None, gravity_u: float | None) -> Site:
-    """Return the site of a stated gravity, m/s², or that of gravity as the unit. Raises InputError for impossible
-    ones."""
+def site_of(gravity: float | None, gravity_u: float | None) -> tuple[Site, str]:
+    """Return the site of a stated gravity, m/s², or that of gravity as the unit, with a note on it.
+
+    Raises InputError for a gravity that no place on Earth has."""
     if gravity is None and gravity_u is not None:
         raise InputError("--gravity-u: expected --gravity with it, found it alone")
     if gravity is not None and not EARTH_GRAVITY[0] <= gravity <= EARTH_GRAVITY[1]:
@@ -242,10 +243,16 @@ def site_of(gravity: float | None, gravity_u: float | None) -> Site:
     if gravity_u is not None and not 0.0 <= gravity_u <= LARGEST_GRAVITY_U:
         raise InputError(f"--gravity-u: expected a number from 0 to {LARGEST_GRAVITY_U:g} (m/s^2), found {gravity_u:g}")
     if gravity is None:
-        return Site(latitude=None, height=None, gravity=G_STANDARD, gravity_u=0.0, gravity_is_unit=True)
-    return Site(
-        latitude=None, height=None, gravity=gravity, gravity_u=NORMAL_GRAVITY_U if gravity_u is None else gravity_u
-    )
+        found = (
+            "gravity is not stated: the unit is g at the place of the readings, printed as 9.80665 m/s^2; u does not "
+            "include the difference, up to 0.3 %"
+        )
+        site = Site(latitude=None, height=None, gravity=G_STANDARD, gravity_u=0.0, gravity_is_unit=True)
+        return site, Advised(found, "for values in m/s^2 give --gravity and --gravity-u")
+    u = NORMAL_GRAVITY_U if gravity_u is None else gravity_u
+    note = f"gravity {gravity:.9g} m/s^2 with u = {u:.2g} m/s^2, in all scale factors"
+    site = Site(latitude=None, height=None, gravity=gravity, gravity_u=u)
+    return site, note if u else "gravity is taken as exact, as stated"
 
 
 def channels_of(
