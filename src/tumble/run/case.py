@@ -72,12 +72,12 @@ def align_case(vertical: Array, by_parameters: Array, normals_c: Array) -> CaseA
 
     `vertical` (N, 3) in b has derivatives (N, 3, m) with respect to parameters of the accelerometers. Raises InputError
     unless the faces are in three different directions."""
+    from scipy.spatial.transform import Rotation
+
     if len(normals_c) < 3 or np.linalg.svd(normals_c, compute_uv=False)[2] < _SINGULAR:
         raise InputError(
             f"case: expected placements on faces in three directions, found {len(normals_c)} placements in fewer"
         )
-    from scipy.spatial.transform import Rotation
-
     mat_cb = np.asarray(Rotation.align_vectors(normals_c, vertical)[0].as_matrix())  # Wahba
     vertical_c = vertical @ mat_cb.T
     scatter = float(np.sqrt((np.cross(vertical_c, normals_c) ** 2).sum() / (2 * len(normals_c) - 3)))
