@@ -210,7 +210,7 @@ def _nominal(observed: Observed, estimate: Estimate, observations: Observations)
         session,
         "joint",
         Outcome(unobservable=tuple(names)),
-        {**observed.origin, "absent": (absent,), "assumptions": (assumption,)},
+        {"circumstances": observed.circumstances, "absent": (absent,), "assumptions": (assumption,)},
         covariance=np.zeros((0, 0)),
         accel=models["accel"],
         gyro=models.get("gyro"),
