@@ -38,8 +38,7 @@ from tumble.recording.arrays import session_of_arrays
 from tumble.recording.session import Session
 from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations
-from tumble.run.calibrate import with_grade
-from tumble.run.observed import inspect_session, observations_for_calibration
+from tumble.run.observed import inspect_session, observations_for_calibration, with_grade
 from tumble.sensors.parameters import positions_by_group, usual_sizes
 from tumble.units import G_STANDARD, Array
 

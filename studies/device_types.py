@@ -37,7 +37,7 @@ from tumble.planning.setup import Setup
 from tumble.recording.session_file import session_of
 from tumble.reduction.observations import Observations
 from tumble.run.calibrate import calibrate
-from tumble.run.from_estimate import build_parameters, prior_fields
+from tumble.run.from_estimate import build_parameters
 from tumble.sensors.grades import spread_of
 from tumble.sensors.parameters import group_name, variable_of
 from tumble.simulation.observations import simulate_observations
@@ -139,7 +139,7 @@ def size_root(covariance: Array) -> Array:
 def _unit(number: int, truth: Mapping[str, float], estimates: Sequence[Estimate], observed: Observations) -> Unit:
     whole, half = estimates
     seen = np.flatnonzero(whole.observable)
-    every, covariance = build_parameters(whole, seen, {}, prior_fields(whole)), whole.covariance[np.ix_(seen, seen)]
+    every, covariance = build_parameters(whole, seen), whole.covariance[np.ix_(seen, seen)]
     known = unit_by(every, covariance, serial=str(number), in_run={})
     return Unit(truth=truth, whole=whole, half=half, observations=observed, known=known)
 

@@ -21,7 +21,7 @@ from tumble.lab.registry.registry import open_registry
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
 from tumble.result.parts import Parameter
-from tumble.run.from_estimate import build_parameters, prior_fields
+from tumble.run.from_estimate import build_parameters
 from tumble.simulation.observations import simulate_observations
 from tumble.simulation.scenario import scenario_of
 
@@ -140,10 +140,7 @@ def prior(units: list[Estimated]) -> DevicePrior:
 def seen_in(estimate: Estimate, serial: str, more: float = 0.0) -> Unit:
     """What an estimate says of a unit whose scale factor y is larger by so much."""
     seen = np.flatnonzero(estimate.observable)
-    every = [
-        replace(p, value=p.value + more * (p.name == "accel.scale.y"))
-        for p in build_parameters(estimate, seen, {}, prior_fields(estimate))
-    ]
+    every = [replace(p, value=p.value + more * (p.name == "accel.scale.y")) for p in build_parameters(estimate, seen)]
     return unit_by(every, estimate.covariance[np.ix_(seen, seen)], serial=serial, in_run={})
 
 

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.support.staged import staged
@@ -25,7 +23,6 @@ from tumble.run.case import (
     CaseAlignment,
     align_case,
     estimate_in,
-    rotation_between,
     vertical_by_parameters,
 )
 from tumble.sensors.model import Block
@@ -34,7 +31,6 @@ from tumble.simulation.scenario import Scenario, itinerary, scenario_of
 from tumble.simulation.session import simulate_session
 from tumble.units import DEGREE, Array
 
-seeds = st.integers(min_value=0, max_value=2**32 - 1)
 FACES = ("UEN", "DWN", "NUE", "NDW", "ENU", "WND")
 DOUBLED = tuple(code + turn for code in FACES for turn in ("", " U+180"))
 UP = np.array([0.0, 1.0, 0.0])
@@ -66,15 +62,6 @@ def error(alignment: CaseAlignment, mat_cb: Array) -> Array:
 
 
 # -------------------- the rotation --------------------
-
-
-@given(seeds)
-def test_the_rotation_between_two_sets_of_directions_is_found(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    second = rng.standard_normal((5, 3))
-    second /= np.linalg.norm(second, axis=1, keepdims=True)
-    turned = Rotation.random(rng=rng).as_matrix()
-    np.testing.assert_allclose(rotation_between(second @ turned.T, second), turned, atol=1e-9)
 
 
 def test_on_a_level_plate_the_case_is_found_exactly() -> None:

@@ -20,8 +20,7 @@ from tumble.inference.start import initial_linearisation
 from tumble.recording.arrays import session_of_arrays
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
-from tumble.run.calibrate import with_grade
-from tumble.run.observed import inspect_session, observations_for_calibration
+from tumble.run.observed import inspect_session, observations_for_calibration, with_grade
 from tumble.units import Array
 from tumble.views.calibration import calibration_blocks
 from tumble.views.render.terminal import text_of

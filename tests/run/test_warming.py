@@ -179,16 +179,10 @@ def test_a_calibration_gets_coefficients_and_stays_what_it_is(base: Calibration,
     assert np.isfinite(force).all()
 
 
-def test_a_calibration_of_unknown_temperature_may_be_of_any_of_the_recording(
-    base: Calibration, recorded: Warming
-) -> None:
+def test_a_calibration_of_unknown_temperature_gets_no_coefficients(base: Calibration, recorded: Warming) -> None:
     unknown = replace(base, temperature=type(base.temperature)())
-    made = calibrate(base=unknown, **recorded.arrays)
-    T = np.array([rest.temperature for rest in made.evidence.rests], dtype=float)
-    for name in ("accel.bias.x", "gyro.bias.x", "gyro.bias.z"):
-        spread = temperature_curve(made, name, T).value.std()
-        assert (made[name].u or 0.0) == pytest.approx(np.hypot(base[name].u or 0.0, spread), rel=0.05)
-    assert any("does not state its temperature" in said for said in made.provenance.assumptions)
+    with pytest.raises(InputError, match="expected one that states its temperature"):
+        calibrate(base=unknown, **recorded.arrays)
 
 
 def test_two_attitudes_tell_scale_factors_and_biases_apart(base: Calibration) -> None:

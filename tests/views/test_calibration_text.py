@@ -424,7 +424,8 @@ def test_what_is_not_stated_is_a_remark_only_where_it_is_most_of_u() -> None:
     for share in (0.2, 0.7):
         parts = {p.name: np.sqrt(share) * (p.u or 0.0) for p in made.parameters if p.name.startswith("accel.scale")}
         gravity = SourceContributions(name="gravity", words="gravity", type="B", contributions=parts)
-        made = with_fields(made, assumptions=(height, clock), budget=(gravity,))
+        unstated = {height: "gravity", clock: "clock"}
+        made = with_fields(made, assumptions=(height, clock), unstated=unstated, budget=(gravity,))
         text = "\n".join(line for line in text_of(calibration_blocks(made), 400).splitlines() if "stated" in line)
         minor = "smaller parts of u: "
         time_base = "the uncertainty of the time base is not stated"

@@ -35,7 +35,8 @@ FORMAT = 1
 LONGEST_TEXT = 10_000
 ORIGIN = ("log_sha256", "software", "created", "prior")  # fields of `Provenance` in the table "provenance"
 _NESTED = re.compile(rf"^(evidence|provenance)\.(?!({'|'.join(ORIGIN)})\b)")  # before keys that are side by side
-_SENTENCES = ("notes", "assumptions", "absent", "remedies")  # keys of texts that may have control characters
+# keys of texts that may have control characters
+_SENTENCES = ("notes", "assumptions", "unstated", "absent", "remedies")
 
 
 # -------------------- writing --------------------

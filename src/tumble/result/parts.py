@@ -431,7 +431,7 @@ class Provenance:
     the devices of the type whose calibrations were the prior, `sample_rate` is in Hz, and `clock_u` is the relative
     standard uncertainty of the time base. `readings` describe "accel", "gyro" and "mag". `notes` are sentences on the
     recording and the estimate, `assumptions` on missing statements, and `absent` on sensors that the calibration does
-    not have."""
+    not have. `unstated` has, for each assumption that is in u, its source in the uncertainty budget."""
 
     log_sha256: str | None = None
     software: str | None = None
@@ -445,6 +445,7 @@ class Provenance:
     readings: Mapping[str, Annotated[Readings, AfterValidator(_check_scales)]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     assumptions: tuple[str, ...] = ()
+    unstated: Mapping[str, str] = field(default_factory=dict)
     absent: tuple[str, ...] = ()
 
     @property

@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-from datetime import UTC, datetime
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib import import_module
-from types import MappingProxyType
 from typing import Any, Literal, Unpack, get_args
 
 import numpy as np
 
-from tumble import __version__
 from tumble.advice import Advised, advised, found_in, remedy_of
 from tumble.arguments import checked
 from tumble.diagnosis import linear_model
+from tumble.diagnosis.findings import refusal, remark
 from tumble.diagnosis.level_faces import with_common_tilt
 from tumble.diagnosis.misfit import ClockByEarth, clock_by_earth
 from tumble.diagnosis.undetermined import one_attitude
@@ -26,7 +22,6 @@ from tumble.diagnosis.verdict import doubtful_time_base, improves, motion_note, 
 from tumble.errors import CalibrationError, InputError
 from tumble.files import FilePath
 from tumble.inference.estimate import Estimate, Outcome
-from tumble.inference.hyperparameters import size_factors
 from tumble.inference.joint import joint
 from tumble.inference.prior import DevicePrior, with_prior
 from tumble.inference.sources import clock_effects, clock_errors, source
@@ -35,27 +30,26 @@ from tumble.recording.log import Log
 from tumble.recording.session import Session
 from tumble.recording.session_file import gyros_in_place, session_from
 from tumble.reduction.observations import Observations
+from tumble.reduction.rests.segmentation import Segmentation
 from tumble.result.accepted import accepted_kinds
 from tumble.result.calibration import Calibration, calibration_from, read_calibration
-from tumble.result.parts import Provenance
 from tumble.rotation import UP
-from tumble.run.from_estimate import build_calibration, gap_notes, mean_temperature, refused_calibration
-from tumble.run.observed import Observed, Progress, grade_of, inspected, observations_for_calibration
+from tumble.run.from_estimate import assemble, build_calibration, extended, gap_notes, mean_temperature
+from tumble.run.observed import Observed, Progress, grade_of, inspect_session, observations_for_calibration, with_grade
 from tumble.run.warming import calibrate_warming, is_still
 from tumble.sensors.frames import Convention, Frame
 from tumble.sensors.grades import grade as grade_named
-from tumble.sensors.parameters import Terms, prior_sizes, usual_sizes
+from tumble.sensors.parameters import Terms
 from tumble.units import DEGREE, G_STANDARD
 
 _LOG = logging.getLogger(__name__)
 Method = Literal["joint", "sequential", "scalar", "scalar-nominal", "ellipsoid"]
 DEFAULT_METHOD: Method = "joint"
-Estimator = Callable[[Observations], Estimate]
-_HEIGHT, _DIGITS = "the height is not stated", "gravity is taken to its last digit"
-_TIME_BASE = "the uncertainty of the time base is not stated"
-UNSTATED: Mapping[str, str] = {_HEIGHT: "gravity", _DIGITS: "gravity", _TIME_BASE: "clock"}
-"""Beginning of the sentence on what is not stated and in u, with its source in the uncertainty budget."""
 CLOCK_CONTRADICTED = 3.0  # u of the time base; a larger error of the clock is a remark instead of a note
+UNSCALED = Advised(
+    "the scale of the counts of the gyros is not stated: the accelerometers are calibrated alone",
+    "state scale in [log.gyro] as the data sheet has it, and the gyros are too",
+)
 
 
 def _imported(module: str, name: str) -> Callable[..., Estimate]:
@@ -64,14 +58,48 @@ def _imported(module: str, name: str) -> Callable[..., Estimate]:
 
 
 METHODS: Mapping[str, Callable[..., Estimate]] = {"joint": joint, "ellipsoid": _imported("ellipsoid", "ellipsoid")}
-UNSCALED = Advised(
-    "the scale of the counts of the gyros is not stated: the accelerometers are calibrated alone",
-    "state scale in [log.gyro] as the data sheet has it, and the gyros are too",
-)
 ITERATED_METHODS: Mapping[str, Callable[..., Estimate]] = {
     name: _imported("paper.four_stages", name.replace("-", "_")) for name in ("sequential", "scalar", "scalar-nominal")
 }
 """Methods of the paper, which take a number of iterations."""
+
+
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Options:
+    """Options of `calibrate`; `clock` is the clock of the log as the Earth's rate shows it."""
+
+    method: str = DEFAULT_METHOD
+    iterations: int | None = None
+    frame: Frame = "accelerometer"
+    terms: Terms = "full"
+    prior: DevicePrior | None = None
+    base: Calibration | None = None
+    clock: ClockByEarth | None = None
+
+    def __post_init__(self) -> None:
+        """Raise InputError for options that are unknown or do not go together."""
+        methods, joint_in_full = [*METHODS, *ITERATED_METHODS], self.method == "joint" and self.terms == "full"
+        if self.method not in methods:
+            raise InputError(f"--method: expected one of {', '.join(methods)}, found {self.method!r}")
+        if self.terms not in get_args(Terms):
+            raise InputError(f"--terms: expected {' or '.join(get_args(Terms))}, found {self.terms!r}")
+        if self.iterations is not None and self.method not in ITERATED_METHODS:
+            raise InputError(
+                f"--iterations: expected none with the method {self.method!r}, which iterates until nothing changes, "
+                f"found {self.iterations}; only {', '.join(ITERATED_METHODS)} take a number"
+            )
+        if self.prior is not None and not joint_in_full:
+            raise InputError("prior: expected the method joint with all terms, which takes one, found another")
+        alone = self.prior is None and self.frame == "accelerometer"
+        if self.base is not None and not (joint_in_full and alone):
+            raise InputError("--base: expected the method joint with all terms, no prior and no frame, found others")
+
+    def estimate(self, observations: Observations) -> Estimate:
+        """Return the estimate by the method; of linear terms alone where the method joint is to have no others."""
+        if self.method == "joint" and self.terms == "linear":
+            return linear_model.linear_joint(observations)
+        words = {} if self.iterations is None else {"iterations": self.iterations}
+        return {**METHODS, **ITERATED_METHODS}[self.method](observations, **words)
 
 
 @checked
@@ -141,8 +169,6 @@ def calibrate(
     >>> tumble.calibrate(accel=accel, gyro=gyro, time=log["t"], latitude=0.992, serial="A-0007")
     <Calibration of A-0007: joint, 51 parameters, accepted>
     """
-    if terms not in get_args(Terms):
-        raise InputError(f"--terms: expected {' or '.join(get_args(Terms))}, found {terms!r}")
     rates = arrays.get("gyro")
     if session is None and arrays.get("accel") is None and rates is not None:
         from tumble.run.gyros_alone import calibrate_gyros, gyro_rests
@@ -158,157 +184,119 @@ def calibrate(
     else:
         recording = session_from(session)
     recording, stated = recording.without(without).of_known_scales(), recording
-    methods: dict[str, Callable[..., Estimate]] = {**METHODS, **ITERATED_METHODS}
-    if method not in methods:
-        raise InputError(f"--method: expected one of {', '.join(methods)}, found {method!r}")
-    if iterations is not None and method not in ITERATED_METHODS:
-        raise InputError(
-            f"--iterations: expected none with the method {method!r}, which iterates until nothing changes, found "
-            f"{iterations}; only {', '.join(ITERATED_METHODS)} take a number"
-        )
-    estimator: Estimator = methods[method] if iterations is None else partial(methods[method], iterations=iterations)
-    if prior is not None and (method != "joint" or terms != "full"):
-        raise InputError("prior: expected the method joint with all terms, which takes one, found another")
-    if base is not None and (method != "joint" or terms != "full" or prior is not None or frame != "accelerometer"):
-        raise InputError("--base: expected the method joint with all terms, no prior and no frame, found others")
+    options = Options(
+        method=method,
+        iterations=iterations,
+        frame=frame,
+        terms=terms,
+        prior=prior,
+        base=None if base is None else calibration_from(base),
+    )
     if frame != "accelerometer":
-        Convention(frame=frame, block=recording.accel_block)
-    base_calibration = None if base is None else calibration_from(base)
-    calibration = _calibrated(recording, method, estimator, frame, terms, progress, prior, base_calibration)
+        Convention(frame=frame, block=recording.accel_block)  # raises InputError for sensors that have no such frame
+    calibration = _calibrated(recording, options, progress)
     if recording.log.gyro is not stated.log.gyro:
-        calibration = _with(calibration, notes=(UNSCALED,))
+        calibration = extended(calibration, notes=[UNSCALED])
     if not recording.excluded:
         return calibration
     # no u contains the choice of rests left out: the outcome of the whole recording is also stated
     try:
-        whole = replace(recording, excluded=())
-        outcome = _calibrated(whole, method, estimator, frame, terms, progress, prior, base_calibration).outcome
+        outcome = _calibrated(replace(recording, excluded=()), options, progress).outcome
     except InputError as error:  # more rests than positions in the programme, for example after a knock
         outcome = Outcome(reasons=(str(error),))
     reasons = "; ".join(map(found_in, outcome.reasons))
     note = f"with what was left out: {': '.join(filter(None, [outcome.verdict, reasons]))}"
-    by_choice = tuple(kind for kind in accepted_kinds(calibration) if not outcome.of(kind))
-    remark = f"accepted only without what was left out, and u does not include the effect of this choice; {note}"
-    return _with(calibration, remarks={remark: by_choice}) if by_choice else _with(calibration, notes=(note,))
+    by_choice = [kind for kind in accepted_kinds(calibration) if not outcome.of(kind)]
+    if not by_choice:
+        return extended(calibration, notes=[note])
+    sentence = f"accepted only without what was left out, and u does not include the effect of this choice; {note}"
+    return extended(calibration, [remark(sentence, *by_choice)])
 
 
-def _calibrated(
-    session: Session,
-    method: str,
-    estimator: Estimator,
-    frame: Frame,
-    terms: Terms,
-    progress: Progress,
-    prior: DevicePrior | None,
-    base: Calibration | None,
-    clock: ClockByEarth | None = None,
-) -> Calibration:
+def _calibrated(session: Session, options: Options, progress: Progress) -> Calibration:
     """Calibrate with the rests that a session does not exclude.
 
     If the Earth's rate contradicts the clock of the log, the estimate is repeated with a corrected `clock`."""
-    systematic = passport_values(session)
-    options = (estimator, systematic, terms, prior, clock)
-    with ThreadPoolExecutor(max_workers=1) as executor:
-        observed = inspected(session, progress, executor)
-        observations = observations_for_calibration(observed, joint=method == "joint")
-        if base is not None or (method == "joint" and is_still(observed)):
-            return calibrate_warming(observed, base, new_provenance(observed.sha256))
-        if isinstance(observations, Outcome):
-            result: tuple[Estimate, Observations] | Outcome = observations
-        else:
-            result, observations = _estimate_of_rests_or_motion(observed, observations, options)
-    if clock is None and not isinstance(result, Outcome) and (clock := clock_by_earth(result[0])) is not None:
-        log = replace(session.log, clock_rate=session.log.clock_rate * clock.rate, clock_u=clock.u)
-        repeated = _calibrated(replace(session, log=log), method, estimator, frame, terms, progress, prior, base, clock)
+    log, is_joint = session.log, options.method == "joint"
+    observed = inspect_session(session, progress=progress)
+    if options.base is not None or (is_joint and is_still(observed)):
+        return calibrate_warming(observed, options.base)
+    result = _estimated(observed, options)
+    if options.clock is None and not isinstance(result, Outcome) and (clock := clock_by_earth(result[0])) is not None:
+        corrected = replace(log, clock_rate=log.clock_rate * clock.rate, clock_u=clock.u)
+        repeated = _calibrated(replace(session, log=corrected), replace(options, clock=clock), progress)
         sentence = clock.sentence(" and ".join(clock_effects(clock.u, log.increments)) or "no parameter")
-        contradicted = abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * session.log.time_base_u
-        return _with(repeated, remarks={sentence: ()}) if contradicted else _with(repeated, notes=(sentence,))
-    bridged = (*_latitude_notes(session), *gap_notes(observed.gaps), *observed.segmentation.unused())
-    provenance = replace(
-        new_provenance(observed.sha256),
-        sample_rate=observed.rate,
-        circumstances=observed.circumstances,
-        assumptions=assumptions(session),
-    )
+        contradicted = abs(clock.rate - 1.0) > CLOCK_CONTRADICTED * log.time_base_u
+        return extended(repeated, [remark(sentence)]) if contradicted else extended(repeated, notes=[sentence])
+    notes = (*_latitude_notes(session), *gap_notes(observed.log.gaps), *observed.segmentation.unused())
+    origin = observed.origin | {"notes": notes}
     if isinstance(result, Outcome):
-        calibration = refused_calibration(session, method, result, provenance, bridged)
+        calibration = assemble(session, options.method, result, origin | assumptions(session))
     else:
-        calibration = build_calibration(session, *result, systematic, frame, provenance, bridged)
-        faults = (*observed.gyro_faults, *observed.gyro_bias_faults)
-        concerned = [calibration.outcome.concerns.get(reason, ("",))[0] for reason in calibration.outcome.accel.reasons]
-        by_gyros = bool(concerned) and all(part.startswith("gyro") for part in concerned)
-        if by_gyros and method == "joint" and not isinstance(observations, Outcome):
-            accel_result = estimate_observations(session, observations.of_accelerometers(), *options)
+        estimate, used, observations = result
+        calibration = build_calibration(session, estimate, used, options.frame, origin)
+        faults, outcome = (*observed.gyro_faults, *observed.gyro_bias_faults), calibration.outcome
+        concerned = [outcome.concerns.get(reason, ("",))[0] for reason in outcome.accel.reasons]
+        if is_joint and concerned and all(part.startswith("gyro") for part in concerned):
+            accel_result = estimate_observations(session, observations.of_accelerometers(), options)
             if not isinstance(accel_result, Outcome):
-                accel_only = build_calibration(session, *accel_result, systematic, frame, provenance, bridged)
+                accel_only = build_calibration(session, *accel_result, options.frame, origin)
                 if accel_only.outcome.accel.accepted and accel_only.accel is not None:
-                    reasons = calibration.outcome.gyro.reasons
                     alone = "the accelerometers are estimated alone"
-                    because = (advised(f"{found_in(each)}; {alone}", remedy_of(each)) for each in reasons)
-                    result, calibration, faults = accel_result, accel_only, (*because, *faults)
-        estimate, used = result
-        little = unused_quiet_time(observed.segmentation, in_motion=used.links is not None)
-        remarks: dict[str, tuple[str, ...]] = dict.fromkeys(little, ())
-        if estimate.gyro is not None and not session.log.increments["gyro"]:
-            grade, _ = grade_of(session, used)
-            remarks |= dict.fromkeys(doubtful_time_base(estimate, grade_named(grade).gyro.scale), ("gyro.scale",))
-        notes = motion_note(estimate, used) if accepted_kinds(calibration) else ()
-        calibration = _with(calibration, notes=notes, remarks=remarks)
-        sensors = {"accel": session.log.accel, "gyro": session.log.gyro}
-        settled = {f"doubt: {channels.doubt}" for kind in accepted_kinds(calibration) if (channels := sensors[kind])}
-        open_ones = tuple(s for s in calibration.provenance.assumptions if s not in settled)
-        calibration = replace(calibration, provenance=replace(calibration.provenance, assumptions=open_ones))
-        if session.log.magnetometer is not None:
-            from tumble.run.magnetometer import with_magnetometer
-
-            calibration = with_magnetometer(calibration, estimate, session.log.magnetometer, used)
-        if prior is not None and estimate.of_type:
-            calibration = replace(calibration, provenance=replace(calibration.provenance, prior=prior.words))
-        if faults:
-            lost = () if session.gyro_block is None or estimate.gyro is not None else session.gyro_block.names
-            part, outcome = "gyro" if lost else "gyro.bias", calibration.outcome
-            outcome = replace(
-                outcome,
-                reasons=(*outcome.reasons, *faults),
-                concerns={**outcome.concerns, **dict.fromkeys(faults, (part,))},
-                unobservable=(*outcome.unobservable, *lost),
-            )
-            calibration = replace(calibration, outcome=outcome)
+                    because = (advised(f"{found_in(each)}; {alone}", remedy_of(each)) for each in outcome.gyro.reasons)
+                    (estimate, used), calibration, faults = accel_result, accel_only, (*because, *faults)
+        calibration = _with_remarks(calibration, estimate, used, session, observed.segmentation, faults)
+        if options.prior is not None and estimate.of_type:
+            calibration = extended(calibration, prior=options.prior.words)
     for sentence in (*calibration.provenance.notes, *calibration.outcome.remarks, *calibration.outcome.reasons):
         _LOG.info("%s: %s", session.name, sentence)
     return calibration
 
 
-def _estimate_of_rests_or_motion(
-    observed: Observed, observations: Observations, options: tuple[Any, ...]
-) -> tuple[tuple[Estimate, Observations] | Outcome, Observations]:
-    """Return the estimate from observations, with these; from rests and turns if motion is no better than they are."""
-    result = estimate_observations(observed.session, observations, *options)
+def _estimated(observed: Observed, options: Options) -> tuple[Estimate, Observations, Observations] | Outcome:
+    """Return the estimate from a recording, its observations with and without what its method adds: from motion, unless
+    rests and turns are as good."""
+    observations = observations_for_calibration(observed, joint=options.method == "joint")
+    if isinstance(observations, Outcome):
+        return observations
+    result = estimate_observations(observed.session, observations, options)
     if observations.links is not None and len(observations.rests):
         at_rest = observations_for_calibration(observed, joint=True, motion=False)
         if isinstance(at_rest, Observations):
-            by_rests = estimate_observations(observed.session, at_rest, *options)
+            by_rests = estimate_observations(observed.session, at_rest, options)
             if isinstance(result, Outcome) or not (isinstance(by_rests, Outcome) or improves(result[0], by_rests[0])):
-                return by_rests, at_rest
-    return result, observations
+                result, observations = by_rests, at_rest
+    return result if isinstance(result, Outcome) else (*result, observations)
 
 
-def _with(
+def _with_remarks(
     calibration: Calibration,
-    *,
-    notes: Iterable[str] = (),
-    remarks: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
+    estimate: Estimate,
+    used: Observations,
+    session: Session,
+    segmentation: Segmentation,
+    faults: Iterable[str],
 ) -> Calibration:
-    """Return the calibration with further notes and remarks.
-
-    `remarks` maps each to the kinds of sensors or groups of parameters that it concerns; empty means all."""
-    outcome, provenance = calibration.outcome, calibration.provenance
-    concerns = {**outcome.concerns, **{remark: concerned for remark, concerned in remarks.items() if concerned}}
-    return replace(
+    """Return the calibration of a recording with remarks on it, the `faults` of its gyros, and its magnetometer."""
+    log, accepted = session.log, accepted_kinds(calibration)
+    findings = list(map(remark, unused_quiet_time(segmentation, in_motion=used.links is not None)))
+    if estimate.gyro is not None and not log.increments["gyro"]:
+        usual = grade_named(grade_of(session, used)[0]).gyro.scale
+        findings += [remark(sentence, "gyro.scale") for sentence in doubtful_time_base(estimate, usual)]
+    lost = () if session.gyro_block is None or estimate.gyro is not None else session.gyro_block.names
+    refusals = [refusal(fault, "gyro" if lost else "gyro.bias") for fault in faults]
+    calibration = extended(
         calibration,
-        outcome=replace(outcome, remarks=(*outcome.remarks, *remarks), concerns=concerns),
-        provenance=replace(provenance, notes=(*provenance.notes, *notes)),
+        [*findings, *refusals],
+        lost if refusals else (),
+        notes=motion_note(estimate, used) if accepted else (),
+        **assumptions(session, accepted),
     )
+    if log.magnetometer is None:
+        return calibration
+    from tumble.run.magnetometer import with_magnetometer
+
+    return with_magnetometer(calibration, estimate, log.magnetometer, used)
 
 
 def passport_values(session: Session) -> Mapping[str, float]:
@@ -324,71 +312,48 @@ def passport_values(session: Session) -> Mapping[str, float]:
     return {p.name: p.value for p in passport.parameters}
 
 
-def with_grade(session: Session, observations: Observations) -> Observations:
-    """Return the observations with the sizes of parameter groups and in-run biases usual for the grade of the
-    device."""
-    grade, guessed_from = grade_of(session, observations)
-    sheet, noise = session.device.prior, grade_named(grade).noise
-    sizes, usual = prior_sizes(grade, sheet), usual_sizes(grade)
-    note = f"errors other than bias, scale factor and axis angles have the size usual for the grade {grade}"
-    if guessed_from:
-        note = Advised(f"{note}, guessed from {guessed_from}", "state another as [device] grade")
-    basis = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
-    return replace(
-        observations,
-        usual=sizes,
-        size_basis={name: "data sheet" if name in sheet else basis for name in sizes},
-        too_small=size_factors(grade, sizes, sheet, guessed=bool(guessed_from)),
-        in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
-        drift={kind: usual[f"{kind}.bias.drift"] for kind in ("accel", "gyro") if f"{kind}.bias.drift" not in sizes},
-        notes=(*observations.notes, note),
-    )
-
-
 def estimate_observations(
-    session: Session,
-    observations: Observations,
-    method: Estimator,
-    start: Mapping[str, float],
-    terms: Terms,
-    prior: DevicePrior | None = None,
-    clock: ClockByEarth | None = None,
+    session: Session, observations: Observations, options: Options
 ) -> tuple[Estimate, Observations] | Outcome:
-    """Return the estimate by a method and its observations, or an Outcome with the reason if there is none."""
-    by_clock = clock_effects(session.log.time_base_u, session.log.increments) | dict(clock.changes if clock else {})
-    linear_joint = method is joint and terms == "linear"
+    """Return the estimate and its observations, or an Outcome with the reason if there is none."""
+    prior, clock, log = options.prior, options.clock, session.log
+    by_clock = clock_effects(log.time_base_u, log.increments) | dict(clock.changes if clock else {})
     observations = with_grade(session, observations)
-    if prior is not None:
-        observations = replace(observations, in_run={**observations.in_run, **prior.in_run})
-    notes, unstamped = observations.notes, session.log.unstamped
-    observations = replace(observations, start=start, by_clock=by_clock, unstamped=unstamped)
+    observations = replace(
+        observations,
+        start=passport_values(session),
+        by_clock=by_clock,
+        unstamped=log.unstamped,
+        in_run={**observations.in_run, **(prior.in_run if prior is not None else {})},
+    )
+    notes = observations.notes
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples
-            estimate = linear_model.linear_joint(observations) if linear_joint else method(observations)
+            estimate = options.estimate(observations)
         if estimate.method != "joint":  # the method joint includes the time base
             change, relative = clock_errors(estimate.names, by_clock), max(map(abs, by_clock.values()), default=0.0)
             clock_covariance, budget = np.outer(change, change), estimate.budget
             budget = None if budget is None else budget.with_source(source("clock", relative, "1"), clock_covariance)
             estimate = replace(estimate, covariance=estimate.covariance + clock_covariance, budget=budget)
-        if linear_joint or estimate.method != "joint":
+        if options.terms == "linear" or estimate.method != "joint":
             if estimate.groups:
                 notes += (
-                    f"the method {estimate.method}{' with linear terms' * linear_joint} takes errors other than bias, "
-                    "scale factor and axis angles as zero and includes their usual size in u; the method joint with "
-                    "all terms estimates them",
+                    f"the method {estimate.method}{' with linear terms' * (estimate.method == 'joint')} takes errors "
+                    "other than bias, scale factor and axis angles as zero and includes their usual size in u; the "
+                    "method joint with all terms estimates them",
                 )
-            estimate = linear_model.linear_part(estimate) if terms == "linear" else estimate
+            estimate = linear_model.linear_part(estimate) if options.terms == "linear" else estimate
         elif prior is not None:
             estimate, prior_notes = with_prior(estimate, observations, prior, mean_temperature(observations))
             notes += prior_notes
         grade, guessed_from = grade_of(session, observations)
         if session.device.grade is not None and guessed_from:
-            remark = Advised(
+            sentence = Advised(
                 f"the stated grade is {session.device.grade!r}, but by {guessed_from} the device is of the grade "
                 f"{grade}, whose usual sizes are taken",
                 "state its grade in [device], or look for what disturbed the recording",
             )
-            estimate = replace(estimate, remarks=(*estimate.remarks, remark))
+            estimate = replace(estimate, remarks=(*estimate.remarks, sentence))
         estimate = with_common_tilt(estimate, observations)
     except np.linalg.LinAlgError as error:
         broken = f"the estimate broke down ({error}): the data contradict the model"
@@ -397,22 +362,30 @@ def estimate_observations(
     return estimate, replace(observations, notes=notes)
 
 
-def assumptions(session: Session) -> tuple[str, ...]:
-    """Return a sentence for each assumption about a session, with the statement that would replace it."""
-    site, log, sentences = session.site, session.log, list[str]()
+def assumptions(session: Session, accepted: Sequence[str] = ()) -> dict[str, Any]:
+    """Return the assumptions about a session and what it leaves unstated, as fields of `Provenance`.
+
+    A doubt about the unit of a kind of sensors ends where these are `accepted`."""
+    site, log, unstated = session.site, session.log, dict[str, str]()
     by_clock = clock_effects(log.time_base_u, log.increments)
     mm = f"{1e3 * site.gravity_u:.2g} mm/s²"
     if site.assumed == "height":
-        found = f"{_HEIGHT}: gravity is that of sea level, with {mm} for heights of 1300 m in u of accel.scale"
-        sentences.append(Advised(found, "state height_m in [site] (--height), or gravity"))
+        found = f"the height is not stated: gravity is that of sea level, with {mm} for heights of 1300 m in u of "
+        unstated[Advised(f"{found}accel.scale", "state height_m in [site] (--height), or gravity")] = "gravity"
     elif site.assumed == "digits" and site.gravity_u:
-        sentences.append(Advised(f"{_DIGITS}, with {mm} in u of accel.scale", "state gravity_u in [site]"))
+        found = f"gravity is taken to its last digit, with {mm} in u of accel.scale"
+        unstated[Advised(found, "state gravity_u in [site]")] = "gravity"
     if log.clock_u is None and by_clock:
         clock = "time stamps of a crystal" if log.rate is None else "a sample rate without time stamps"
         size = f"{1e6 * log.time_base_u:.0f} ppm" if log.rate is None else f"{1e2 * log.time_base_u:.0f} %"
-        found = f"{_TIME_BASE}: {size}, usual for {clock}, is in u of {' and '.join(by_clock)}"
-        sentences.append(Advised(found, "state clock_ppm_u in [log], 0 where it is exact"))
-    return (*sentences, *(f"doubt: {doubt}" for doubt in log.doubts))
+        found = f"the uncertainty of the time base is not stated: {size}, usual for {clock}, is in u of "
+        unstated[Advised(f"{found}{' and '.join(by_clock)}", "state clock_ppm_u in [log], 0 where it is exact")] = (
+            "clock"
+        )
+    by_kind = {"accel": log.accel, "gyro": log.gyro}
+    settled = {channels.doubt for kind in accepted if (channels := by_kind[kind]) is not None}
+    doubts = (f"doubt: {doubt}" for doubt in log.doubts if doubt not in settled)
+    return {"unstated": unstated, "assumptions": (*unstated, *doubts)}
 
 
 def _latitude_notes(session: Session) -> tuple[str, ...]:
@@ -421,9 +394,3 @@ def _latitude_notes(session: Session) -> tuple[str, ...]:
     if abs(degrees) >= 0.5 * math.pi or abs(degrees - round(degrees, 2)) < 1e-9:
         return ()
     return (f"latitude {degrees:.6g}° as stated; {degrees / DEGREE:.3g}° if radians were meant",)
-
-
-def new_provenance(log_sha256: str) -> Provenance:
-    """Return the provenance of a calibration made now."""
-    created = datetime.now(UTC).isoformat(timespec="seconds")
-    return Provenance(log_sha256=log_sha256, software=f"tumble {__version__}", created=created)

@@ -44,6 +44,16 @@ class CaseAlignment:
     scatter: float
     placements: int
 
+    @property
+    def note(self) -> str:
+        """The placements and the uncertainty of the alignment in words."""
+        u = ", ".join(f"{each:.2g}°" for each in np.sqrt(np.diag(self.alignment.covariance)) / DEGREE)
+        return (
+            f"case: from {self.placements} rests on its six faces, which scatter by {self.scatter / DEGREE:.2g}° an "
+            f"axis; standard uncertainty of its alignment {u} about X, Y, Z; the tilt of the plate is part of the "
+            "scatter"
+        )
+
 
 def vertical_by_parameters(model: SensorModel, force: Array, change: Array) -> Array:
     """Return the derivative (N, 3, m) of the vertical at rest with respect to parameters.
@@ -54,13 +64,6 @@ def vertical_by_parameters(model: SensorModel, force: Array, change: Array) -> A
     return np.asarray(-(np.eye(3) - u[:, :, None] * u[:, None, :]) @ model.inverse() / length @ change)
 
 
-def rotation_between(first: Array, second: Array) -> Array:
-    """Return the rotation (3, 3) that best takes unit vectors (N, 3) `second` to `first` (Wahba)."""
-    from scipy.spatial.transform import Rotation
-
-    return np.asarray(Rotation.align_vectors(first, second)[0].as_matrix())
-
-
 # -------------------- the case --------------------
 
 
@@ -69,11 +72,13 @@ def align_case(vertical: Array, by_parameters: Array, normals_c: Array) -> CaseA
 
     `vertical` (N, 3) in b has derivatives (N, 3, m) with respect to parameters of the accelerometers. Raises InputError
     unless the faces are in three different directions."""
+    from scipy.spatial.transform import Rotation
+
     if len(normals_c) < 3 or np.linalg.svd(normals_c, compute_uv=False)[2] < _SINGULAR:
         raise InputError(
             f"case: expected placements on faces in three directions, found {len(normals_c)} placements in fewer"
         )
-    mat_cb = rotation_between(normals_c, vertical)
+    mat_cb = np.asarray(Rotation.align_vectors(normals_c, vertical)[0].as_matrix())  # Wahba
     vertical_c = vertical @ mat_cb.T
     scatter = float(np.sqrt((np.cross(vertical_c, normals_c) ** 2).sum() / (2 * len(normals_c) - 3)))
     products = vertical_c.T @ normals_c

@@ -1,13 +1,23 @@
-"""Build a `Calibration` from an estimate and its observations, with notes on the recording."""
+"""Assembly of a `Calibration`, from the parameters of any kind of session or from an estimate and its observations.
+
+Every kind of session ends in `assemble`; those with an estimate of rests, turns or motion get there by
+`build_calibration`, which adds the verdict, the evidence and notes on the recording.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from datetime import UTC, datetime
+from types import MappingProxyType
+from typing import Any, TypeVar
 
 import numpy as np
 
+from tumble import __version__
 from tumble.advice import Advised
+from tumble.diagnosis.findings import Finding, outcome_of
 from tumble.diagnosis.undetermined import faces_alone
 from tumble.diagnosis.verdict import verdict
 from tumble.errors import InputError
@@ -34,9 +44,11 @@ from tumble.result.parts import (
 )
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.sensors.frames import Frame
-from tumble.sensors.parameters import THERMAL, group_name, sensor_kind, variable_of
+from tumble.sensors.model import Block
+from tumble.sensors.parameters import THERMAL, group_name, sensor_kind, units_of, variable_of
 from tumble.units import DEGREE, ZERO_CELSIUS, Array, IntArray
 
+_Record = TypeVar("_Record")
 LAGS = {"accel.lag": "accelerometers", "gyro.lag": "gyros"}
 SIGNIFICANT_SLOPE = 3.0  # u, of a slope over temperature
 GAPS_SHOWN = 5
@@ -45,50 +57,88 @@ ONE_RATE = 1.3
 rates, scale factors that change with the square of the rate would be seven times less certain."""
 
 
-def build_calibration(
-    session: Session,
-    estimate: Estimate,
-    observations: Observations,
-    systematic: Mapping[str, float],
-    frame: Frame,
-    provenance: Provenance,
-    bridged: tuple[str, ...] = (),
+def origin_of(*digests: str) -> dict[str, Any]:
+    """Return the fields of `Provenance` of a calibration made now from logs with these SHA-256."""
+    joint = digests[0] if len(digests) == 1 else hashlib.sha256("\n".join(digests).encode()).hexdigest()
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    return {"log_sha256": joint, "software": f"tumble {__version__}", "created": created}
+
+
+def assemble(
+    session: Session, method: str, outcome: Outcome, provenance: Mapping[str, Any], **results: Any
 ) -> Calibration:
-    """Return the calibration of an estimate; `bridged` are notes on the gaps of its log."""
+    """Return a calibration of the device of a session.
+
+    `provenance` and `results` are fields of `Provenance` and `Calibration`. Without results it has no parameters, and
+    the outcome has the reasons."""
+    programme, device = session.programme, session.device
+    of_session = {
+        "site": session.site,
+        "programme": None if programme is None else programme.listed.name,
+        "readings": readings_of_session(session),
+    }
+    nothing = {"frame": "accelerometer", "parameters": (), "covariance": None, "accel": None, "gyro": None}
+    return Calibration(
+        device=CalibratedDevice(serial=device.serial, model=device.model, imu=device.imu),
+        method=method,
+        outcome=outcome,
+        provenance=Provenance(**{**of_session, **provenance}),
+        **{**nothing, **results},
+    )
+
+
+def extended(
+    calibration: Calibration,
+    findings: Iterable[Finding] = (),
+    unobservable: tuple[str, ...] = (),
+    *,
+    notes: Iterable[str] = (),
+    **provenance: Any,
+) -> Calibration:
+    """Return the calibration with further findings, unobservable parameters and notes, and fields of `Provenance`."""
+    outcome, further, before = calibration.outcome, outcome_of(findings, unobservable), calibration.provenance
+    added = ("reasons", "remarks", "unobservable")
+    changed = {name: (*getattr(outcome, name), *getattr(further, name)) for name in added}
+    return replace(
+        calibration,
+        outcome=replace(outcome, **changed, concerns={**outcome.concerns, **further.concerns}),
+        provenance=replace(before, notes=(*before.notes, *notes), **provenance),
+    )
+
+
+def build_calibration(
+    session: Session, estimate: Estimate, observations: Observations, frame: Frame, provenance: Mapping[str, Any]
+) -> Calibration:
+    """Return the calibration of an estimate; `provenance` as for `assemble`."""
     outcome = verdict(estimate, observations, gravity_confirmed=observations.site.gravity_confirmed)
     rests, turns = rest_results(estimate, observations), turn_results(estimate, observations)
-    blocks = {b.kind: b for b in (observations.accel_block, observations.gyro_block) if b is not None}
     complete = bool(estimate.observable[: len(observations.accel_block.names)].all())
-    priors, thermal_notes = prior_fields(estimate), tuple(temperature_notes(estimate, observations))
-    case_notes = tuple[str, ...]()
-    if frame != "accelerometer":
-        systematic = {}  # it is in the frame of the accelerometers
-        if complete:
-            from tumble.run.case import estimate_in
+    notes = [*observations.notes, *_fit_notes(estimate, observations), *temperature_notes(estimate, observations)]
+    # the passport, with the start values, is in the frame of the accelerometers
+    systematic = observations.start if frame == "accelerometer" else {}
+    if frame != "accelerometer" and complete:
+        from tumble.run.case import estimate_in
 
-            estimate, case = estimate_in(frame, estimate, observations)
-            if case is not None:
-                u = ", ".join(f"{each:.2g}°" for each in np.sqrt(np.diag(case.alignment.covariance)) / DEGREE)
-                case_notes = (
-                    f"case: from {case.placements} rests on its six faces, which scatter by "
-                    f"{case.scatter / DEGREE:.2g}° an axis; standard uncertainty of its alignment {u} about X, Y, Z; "
-                    "the tilt of the plate is part of the scatter",
-                )
+        estimate, case = estimate_in(frame, estimate, observations)
+        notes += [] if case is None else [case.note]
     determined = np.flatnonzero(estimate.observable)
     faces = faces_alone(estimate, outcome.unobservable)
     missing = set() if faces else {sensor_kind(name) for name in outcome.unobservable}
-    return Calibration(
-        device=device_of(session),
-        method=estimate.method,
+    absent = (f"{', '.join(outcome.unobservable)}: not determined by six faces, taken as 0",) if faces else ()
+    before = (*provenance.get("notes", ()), *exclusion_notes(session.excluded))
+    return assemble(
+        session,
+        estimate.method,
+        outcome,
+        {**provenance, "clock_u": session.log.time_base_u, "notes": (*before, *notes), "absent": absent},
         frame=frame if complete else "accelerometer",
-        parameters=with_degrees(build_parameters(estimate, determined, systematic, priors), estimate.fits),
+        parameters=with_degrees(build_parameters(estimate, determined, systematic), estimate.fits),
         covariance=estimate.covariance[np.ix_(determined, determined)],
         accel=None if "accel" in missing else estimate.accel,
         gyro=None if missing else estimate.gyro,
-        outcome=outcome,
         groups=estimate.groups,
         prediction=estimate.prediction,
-        axes={kind: tuple(map(tuple, block.axes.tolist())) for kind, block in blocks.items()},
+        axes={block.kind: tuple(map(tuple, block.axes.tolist())) for block in blocks_of(observations)},
         temperature=calibrated_temperature(session, observations),
         evidence=Evidence(
             rests=rests,
@@ -100,85 +150,61 @@ def build_calibration(
             budget=contributions_of(estimate.budget, estimate.names, observations.size_basis),
             iterations=tuple({estimate.names[i]: float(step[i]) for i in determined} for step in estimate.increments),
         ),
-        provenance=replace(
-            provenance,
-            site=observations.site,
-            clock_u=session.log.time_base_u,
-            programme=None if observations.programme is None else observations.programme.name,
-            readings=readings_of_session(session),
-            notes=(
-                *(*bridged, *exclusion_notes(session.excluded)),
-                *observations.notes,
-                *_fit_notes(estimate, observations),
-                *thermal_notes,
-                *case_notes,
-            ),
-            absent=(f"{', '.join(outcome.unobservable)}: not determined by six faces, taken as 0",) if faces else (),
-        ),
     )
 
 
-def refused_calibration(
-    session: Session, method: str, outcome: Outcome, provenance: Provenance, bridged: tuple[str, ...] = ()
-) -> Calibration:
-    """Return a calibration without parameters, whose outcome has the reasons; `bridged` are notes on gaps of its
-    log."""
-    return Calibration(
-        device=device_of(session),
-        method=method,
-        frame="accelerometer",
-        parameters=(),
-        covariance=None,
-        accel=None,
-        gyro=None,
-        outcome=outcome,
-        provenance=replace(
-            provenance,
-            site=session.site,
-            programme=None if session.programme is None else session.programme.name,
-            readings=readings_of_session(session),
-            notes=bridged,
-        ),
-    )
+def blocks_of(observations: Observations) -> list[Block]:
+    """Return the accelerometers and, if there are any, the gyros."""
+    return [block for block in (observations.accel_block, observations.gyro_block) if block is not None]
 
 
-def device_of(session: Session) -> CalibratedDevice:
-    """Return the device of a session."""
-    return CalibratedDevice(serial=session.device.serial, model=session.device.model, imu=session.device.imu)
+def parameters_of(names: Sequence[str], values: Array, u: Array, **others: Sequence[Any]) -> tuple[Parameter, ...]:
+    """Return parameters with these values and standard uncertainties, SI, and others of their fields.
+
+    Unless it is given, `learned` follows from u and the standard deviations `prior`."""
+    fields = {"name": names, "value": values.tolist(), "u": u.tolist(), **others}
+    if "unit" not in others:
+        fields["unit"] = units_of(names)
+    if "prior" in others and "learned" not in others:
+        priors = zip(fields["u"], others["prior"], strict=True)
+        fields["learned"] = [None if prior is None else learned_fraction(each, prior) for each, prior in priors]
+    return _records(Parameter, **fields)
+
+
+def _records(kind: type[_Record], **columns: Iterable[Any]) -> tuple[_Record, ...]:
+    """Return a record of this type for each row of the columns, which are its fields."""
+    return tuple(kind(**dict(zip(columns, row, strict=True))) for row in zip(*columns.values(), strict=True))
 
 
 def build_parameters(
-    estimate: Estimate, determined: IntArray, systematic: Mapping[str, float], priors: Mapping[str, Mapping[str, float]]
+    estimate: Estimate, determined: IntArray, systematic: Mapping[str, float] = MappingProxyType({})
 ) -> tuple[Parameter, ...]:
-    """Return the parameters with these indices; `priors` are from `prior_fields`."""
-    u, degrees = estimate.u, np.full(len(estimate.names), np.inf) if estimate.degrees is None else estimate.degrees
-    return tuple(
-        Parameter(
-            name=name,
-            value=value,
-            u=float(u[i]),
-            unit=estimate.units[i],
-            deviation=value - systematic[name] if name in systematic else None,
-            dof=None if degrees[i] > MANY_DEGREES else float(degrees[i]),
-            **priors.get(name, {}),
-        )
-        for i, name, value in ((i, estimate.names[i], float(estimate.values[i])) for i in determined.tolist())
+    """Return the parameters with these indices, with deviations from the `systematic` values of the passport.
+
+    Those of groups beyond the linear model have their widened prior and what was learned beyond it, and all have these
+    if there is a prior of the device type."""
+    names, values, u = [estimate.names[i] for i in determined], estimate.values[determined], estimate.u[determined]
+    priors = dict[str, tuple[float, float]]()
+    for group in estimate.groups:
+        members = [name for name in estimate.names if group_name(name) == group.name]
+        for name, learned in zip(members, group.learned, strict=True):
+            priors[name] = group.prior * group.prior_widened, learned
+    of_type = {name: size for name, size in estimate.of_type.items() if name in names}
+    priors |= {name: (size, learned_fraction(float(u[names.index(name)]), size)) for name, size in of_type.items()}
+    degrees = np.full(len(names), np.inf) if estimate.degrees is None else estimate.degrees[determined]
+    return parameters_of(
+        names,
+        values,
+        u,
+        unit=[estimate.units[i] for i in determined],
+        deviation=[
+            value - systematic[name] if name in systematic else None
+            for name, value in zip(names, values.tolist(), strict=True)
+        ],
+        dof=[None if count > MANY_DEGREES else count for count in degrees.tolist()],
+        prior=[priors.get(name, (None, None))[0] for name in names],
+        learned=[priors.get(name, (None, None))[1] for name in names],
     )
-
-
-def prior_fields(estimate: Estimate) -> dict[str, dict[str, float]]:
-    """Return the widened prior and the learned fraction of parameters, by name.
-
-    Parameters of groups beyond the linear model have these, and all parameters with a prior of the device type."""
-    u = dict(zip(estimate.names, estimate.u.tolist(), strict=True))
-    type_priors = {name: {"prior": s, "learned": learned_fraction(u[name], s)} for name, s in estimate.of_type.items()}
-    if estimate.instrument is None:
-        return type_priors
-    return {
-        name: {"prior": group.prior * group.prior_widened, "learned": learned}
-        for group in estimate.groups
-        for name, learned in zip(estimate.names[estimate.instrument.members[group.name]], group.learned, strict=True)
-    } | type_priors
 
 
 def mean_temperature(observations: Observations) -> float | None:
@@ -189,11 +215,10 @@ def mean_temperature(observations: Observations) -> float | None:
 
 def sensor_temperatures(observations: Observations) -> dict[str, tuple[float, ...]]:
     """Return the mean temperatures of the sensors over the rests, °C, by kind."""
-    kelvin, blocks = observations.rests.temperatures, (observations.accel_block, observations.gyro_block)
-    if kelvin is None:
+    if observations.rests.temperatures is None:
         return {}
-    celsius = kelvin.mean(axis=0) - ZERO_CELSIUS
-    return {block.kind: tuple(celsius[block.thermometer].tolist()) for block in blocks if block is not None}
+    celsius = observations.rests.temperatures.mean(axis=0) - ZERO_CELSIUS
+    return {block.kind: tuple(celsius[block.thermometer].tolist()) for block in blocks_of(observations)}
 
 
 def calibrated_temperature(session: Session, observations: Observations) -> CalibratedTemperature:
@@ -256,32 +281,23 @@ def rest_results(estimate: Estimate, observations: Observations) -> tuple[RestRe
             f"expected rests in attitudes far apart, found {len(rests)} for which the fit comes to no finite values; "
             "put the device down in others too (`tumble programme` lists them)"
         )
-    celsius = None if rests.temperatures is None else rests.temperatures - ZERO_CELSIUS
-    sensors: dict[str, list[SensorsAtRest | None]] = {kind: [None] * len(rests) for kind in ("accel", "gyro")}
-    for block, mean, noise, drift in (
-        (observations.accel_block, rests.accel, rests.accel_noise, rests.accel_drift),
-        (observations.gyro_block, rests.gyro, rests.gyro_noise, rests.gyro_drift),
-    ):
-        if block is not None and mean.shape[1]:
-            warm = np.empty((len(rests), 0)) if celsius is None else celsius[:, block.thermometer]
-            at_rest = zip(*(map(tuple, values.tolist()) for values in (mean, noise, drift, warm)), strict=True)
-            sensors[block.kind] = [SensorsAtRest(mean=m, noise=n, drift=d, temperature=t) for m, n, d, t in at_rest]
-    positions = None if observations.programme is None else observations.programme.positions
-    position = observations.position
-    return tuple(
-        RestResult(
-            file=int(rests.file[i]),
-            start=float(rests.start[i]),
-            stop=float(rests.stop[i]),
-            residual=float(estimate.rest_residual[i]),
-            sigmas=float(estimate.rest_sigmas[i]),
-            attitude=None if positions is None or position is None else positions[int(position[i])].attitude,
-            accel=sensors["accel"][i],
-            gyro=sensors["gyro"][i],
-            temperature=None if rests.temperature is None else float(rests.temperature[i]) - ZERO_CELSIUS,
-        )
-        for i in range(len(rests))
-    )
+    nothing: list[None] = [None] * len(rests)
+    columns: dict[str, Any] = {"accel": nothing, "gyro": nothing, "attitude": nothing, "temperature": nothing}
+    for block in blocks_of(observations):
+        warm = np.empty((len(rests), 0))
+        if rests.temperatures is not None:
+            warm = rests.temperatures[:, block.thermometer] - ZERO_CELSIUS
+        at_rest = {"mean": getattr(rests, block.kind), "temperature": warm}
+        at_rest |= {what: getattr(rests, f"{block.kind}_{what}") for what in ("noise", "drift")}
+        vectors = {name: map(tuple, values.tolist()) for name, values in at_rest.items()}
+        columns[block.kind] = _records(SensorsAtRest, **vectors)
+    if observations.programme is not None and observations.position is not None:
+        columns["attitude"] = [observations.programme.positions[k].attitude for k in observations.position.tolist()]
+    if rests.temperature is not None:
+        columns["temperature"] = (rests.temperature - ZERO_CELSIUS).tolist()
+    columns |= {name: getattr(rests, name).tolist() for name in ("file", "start", "stop")}
+    columns |= {name: getattr(estimate, f"rest_{name}").tolist() for name in ("residual", "sigmas")}
+    return _records(RestResult, **columns)
 
 
 def turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnResult, ...]:
@@ -300,18 +316,16 @@ def turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnRe
         for k, (before, after) in enumerate(zip(position[turns.first], position[turns.last], strict=True)):
             angle = programme.moves[int(before)].angle if after == before + 1 else None
             programmed[k] = None if angle is None else abs(angle)
-    return tuple(
-        TurnResult(
-            first=int(turns.first[k]),
-            last=int(turns.last[k]),
-            duration=float(turns.duration[k]),
-            angle=None if estimate.gyro is None else float(angles[k]),
-            programmed=programmed[k],
-            sigmas=float(estimate.turn_sigmas[k]),
-        )
-        for k in range(len(turns))
-        if turns.duration[k] > 0.0  # not between the parts of a rest
+    results = _records(
+        TurnResult,
+        first=turns.first.tolist(),
+        last=turns.last.tolist(),
+        duration=turns.duration.tolist(),
+        angle=len(turns) * [None] if estimate.gyro is None else angles.tolist(),
+        programmed=programmed,
+        sigmas=estimate.turn_sigmas.tolist(),
     )
+    return tuple(turn for turn in results if turn.duration > 0.0)  # not between the parts of a rest
 
 
 # -------------------- notes --------------------

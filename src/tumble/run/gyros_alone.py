@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -24,15 +23,14 @@ from tumble.inference.estimate import Outcome
 from tumble.inference.sources import UncertaintyBudget, source
 from tumble.recording.log import Log, open_log
 from tumble.recording.session import Session
-from tumble.reduction.blocks.reducer import Reduction, reduce_log
+from tumble.reduction.blocks.reducer import reduce_log
 from tumble.reduction.noise.coloured_noise import fit_coloured_noise
 from tumble.reduction.rests.segmentation import Segmentation, find_rests
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Evidence, Parameter
+from tumble.result.parts import Evidence
 from tumble.result.uncertainty_budget import contributions_of
-from tumble.rotation import UP, rotation_matrix, rotation_vector
-from tumble.run.calibrate import new_provenance
-from tumble.run.from_estimate import readings_of_session, refused_calibration
+from tumble.rotation import UP
+from tumble.run.from_estimate import assemble, origin_of, parameters_of, readings_of_session
 from tumble.run.observed import Progress
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import Block, SensorModel
@@ -47,30 +45,16 @@ WHAT_TO_RECORD = (
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class GyroRests:
-    """Rests of a log of gyros, whose session has them in place of accelerometers.
+    """Rests of a log of gyros at a sample `rate`, Hz, whose session has them in place of accelerometers.
 
     `mean` (N, 3) are the readings at rest, rad/s, and `noise` (N, 3) their standard deviations."""
 
     session: Session
-    reduction: Reduction
     segmentation: Segmentation
+    rate: float
     sha256: str
     mean: Array
     noise: Array
-
-    @property
-    def turned(self) -> list[float]:
-        """Angles of the turns after each rest but the last, rad."""
-        rests, files = self.segmentation.rests, self.reduction.by_file
-        angles = list[float]()
-        for i, (before, after) in enumerate(pairwise(rests)):
-            blocks, R = files[before.file], np.eye(3)
-            level = 0.5 * (self.mean[i] + self.mean[i + 1])
-            between = slice(before.last, after.first)
-            for rate, seconds in zip(blocks.gyro.means[between] - level, np.diff(blocks.edges)[between], strict=True):
-                R = R @ rotation_matrix(rate * seconds)
-            angles.append(float(np.linalg.norm(rotation_vector(R))) if before.file == after.file else math.nan)
-        return angles
 
 
 def gyro_rests(session: Session, progress: Progress = Log.chunks) -> GyroRests:
@@ -98,8 +82,8 @@ def gyro_rests(session: Session, progress: Progress = Log.chunks) -> GyroRests:
     variance = np.array([np.diag(noise.covariance_of_mean(len(each), i)) for i, each in enumerate(series)])
     return GyroRests(
         session=session,
-        reduction=reduction,
         segmentation=segmentation,
+        rate=reduction.rate,
         sha256=log.sha256(),
         mean=np.array([each.mean(axis=0) for each in series]),
         noise=np.sqrt(variance),
@@ -132,28 +116,27 @@ def calibrate_gyros(rests: GyroRests) -> Calibration:
     )
     names, covariance, bias = block.names[:3], budget.covariances.sum(axis=0), rests.mean.mean(axis=0)
     absent = "gyro.scale, gyro.axis: not shown by gyros alone, taken as 0"
-    empty = refused_calibration(session, "rest", Outcome(unobservable=block.names[3:]), new_provenance(rests.sha256))
-    return replace(
-        empty,
-        parameters=tuple(
-            Parameter(name=name, value=float(value), u=float(u), unit="rad/s")
-            for name, value, u in zip(names, bias, np.sqrt(np.diag(covariance)), strict=True)
-        ),
+    assumptions = (
+        Advised(absent, f"to have them {WHAT_TO_RECORD}"),
+        "the directions of the Earth's rate and of gravity are not known: u of gyro.bias includes both, gravity by the "
+        f"g-sensitivity usual for the grade {grade}",
+        *(f"doubt: {doubt}" for doubt in session.log.doubts),
+    )
+    provenance = origin_of(rests.sha256) | {
+        "site": None,
+        "sample_rate": rests.rate,
+        "readings": {"gyro": readings_of_session(session)["accel"]},
+        "absent": (absent,),
+        "assumptions": assumptions,
+    }
+    return assemble(
+        session,
+        "rest",
+        Outcome(unobservable=block.names[3:]),
+        provenance,
+        parameters=parameters_of(names, bias, np.sqrt(np.diag(covariance))),
         covariance=covariance,
         gyro=SensorModel(matrix=block.nominal().matrix, bias=bias),
         axes={"gyro": tuple(map(tuple, block.axes.tolist()))},
         evidence=Evidence(budget=contributions_of(budget, names, {"gyro.g_sensitivity": f"guessed grade {grade}"})),
-        provenance=replace(
-            empty.provenance,
-            site=None,
-            sample_rate=rests.reduction.rate,
-            readings={"gyro": readings_of_session(session)["accel"]},
-            absent=(absent,),
-            assumptions=(
-                Advised(absent, f"to have them {WHAT_TO_RECORD}"),
-                "the directions of the Earth's rate and of gravity are not known: u of gyro.bias includes both, "
-                f"gravity by the g-sensitivity usual for the grade {grade}",
-                *(f"doubt: {doubt}" for doubt in session.log.doubts),
-            ),
-        ),
     )

@@ -7,8 +7,7 @@ launches: they are separated first, do not average out, and are added to either 
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations, product, zip_longest
 from pathlib import Path
@@ -39,10 +38,11 @@ from tumble.result.coverage import (
     welch_satterthwaite,
 )
 from tumble.result.launch_variances import at_temperature
-from tumble.result.parts import CalibratedTemperature, Evidence, Parameter, SourceContributions, learned_fraction
+from tumble.result.parts import CalibratedTemperature, Evidence, Parameter, Provenance, SourceContributions
 from tumble.result.shared_errors import is_device_property, prior_sensitivities
 from tumble.result.uncertainty_budget import contributions_of
-from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate, new_provenance
+from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate
+from tumble.run.from_estimate import origin_of, parameters_of
 from tumble.run.magnetometer import PARAMETER_NAMES
 from tumble.run.observed import Progress
 from tumble.sensors.frames import Convention, Frame, frame_of
@@ -133,19 +133,19 @@ def calibrate_launches(
 
 def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
     """Return the mean of calibrations of one device by the same method, see `calibrate_launches`."""
-    launches = [run.calibration for run in runs]
-    first, session, count = launches[0], runs[0].session, len(runs)
+    launches, sessions = [run.calibration for run in runs], [run.session for run in runs]
+    first, session, count = launches[0], sessions[0], len(runs)
     sources = [launch.provenance for launch in launches]
-    digests = [each.log_sha256 or "" for each in sources]
-    for run, key in product(runs[1:], ("serial", "model", "grade")):
-        expected, found = (getattr(each.session.device, key) for each in (runs[0], run))
+    for other, key in product(sessions[1:], ("serial", "model", "grade")):
+        expected, found = (getattr(each.device, key) for each in (session, other))
         if None not in (expected, found) and expected != found:
             what = "a launch of device " if key == "serial" else ""
             raise InputError(
-                f"{run.session.name}: device.{key}: expected {what}{expected!r} like the first session, found "
-                f"{found!r}; calibrate each device by itself"
+                f"{other.name}: device.{key}: expected {what}{expected!r} like the first session, found {found!r}; "
+                "calibrate each device by itself"
             )
-    check_recordings([run.session for run in runs], digests)
+    digests = [each.log_sha256 or "" for each in sources]
+    check_recordings(sessions, digests)
     names = [name for name in first if all(name in launch for launch in launches)]
     references = [launch.temperature.references for launch in launches]
     kinds = _common([{kind: len(celsius) for kind, celsius in each.items()} for each in references]) or ()
@@ -155,31 +155,20 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
         references={k: tuple(np.mean([each[k] for each in references], axis=0).tolist()) for k in kinds},
     )
     values, covariances = at_temperature(launches, names, temperature)
-    clock_u = min(run.session.log.time_base_u for run in runs)
+    clock_u, site = min(each.log.time_base_u for each in sessions), first.provenance.site
     by_clock = clock_errors(names, clock_effects(clock_u, session.log.increments))
     shared = _shared_covariances(launches, names, covariances, by_clock)
     parameters, covariance, within = _mean_parameters(launches, names, values, covariances, shared)
     mean, shared_mean = values.mean(axis=0), sum(each.mean(axis=0) for each in shared.values())
     budget = _mean_budget(launches, names, shared, within)
-    site = first.provenance.site
     for each, part in (
         (source("launches", dof=count - 1.0), covariance - within - shared_mean),
         (source("gravity", None if site is None else site.gravity_u, "m/s^2"), shared["gravity"][0]),
         (source("clock", clock_u, "1"), shared["clock"][0]),
     ):
         budget = budget.with_source(each, part)
-    by_name = dict(zip(names, mean.tolist(), strict=True))
-    findings = [
-        Finding(
-            sentence=prefixed(f"{run.name}: ", sentence),
-            concerns=outcome.concerns.get(sentence, ()),
-            refuses=sentence in outcome.reasons,
-            unsteady=sentence in outcome.unsteady,
-        )
-        for run, outcome in ((run, run.calibration.outcome) for run in runs)
-        for sentence in (*outcome.reasons, *outcome.remarks)
-    ]
-    convention = frame_of(first.frame)
+    by_name, convention = dict(zip(names, mean.tolist(), strict=True)), frame_of(first.frame)
+    missing = tuple(dict.fromkeys(name for launch in launches for name in launch.outcome.unobservable))
     return Calibration(
         device=replace(first.device, imu=_common_items([launch.imu for launch in launches])),
         method=first.method,
@@ -189,10 +178,7 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
         accel=_mean_model(convention, session.accel_block, by_name),
         gyro=_mean_model(convention, session.gyro_block, by_name),
         mag=None if first.mag is None else _mean_model("accelerometer", block_near(first.mag.matrix), by_name),
-        outcome=outcome_of(
-            [*_differing_launches(runs, parameters, covariances), *findings],
-            tuple(dict.fromkeys(name for launch in launches for name in launch.outcome.unobservable)),
-        ),
+        outcome=outcome_of([*_differing_launches(runs, parameters, covariances), *_findings(runs)], missing),
         groups=_groups(launches, parameters),
         prediction=_prediction(runs, names, mean, covariance),
         axes=_common_items([launch.axes for launch in launches]),
@@ -205,8 +191,8 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
             ),
             launches=tuple(run.calibration.as_launch(run.name) for run in runs),
         ),
-        provenance=replace(
-            new_provenance(joint_digest(digests)),
+        provenance=Provenance(
+            **origin_of(*digests),
             site=_common([each.site for each in sources]),
             sample_rate=_mean_where_known([each.sample_rate for each in sources]),
             clock_u=clock_u,
@@ -215,8 +201,22 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
             readings=_common_items([each.readings for each in sources]),
             notes=tuple(_notes(runs, names)),
             assumptions=tuple(dict.fromkeys(chain(*(each.assumptions for each in sources)))),
+            unstated=dict(chain(*(each.unstated.items() for each in sources))),
         ),
     )
+
+
+def _findings(runs: Sequence[LaunchRun]) -> Iterator[Finding]:
+    """Yield the reasons and remarks of the launches, with their names."""
+    for run in runs:
+        outcome = run.calibration.outcome
+        for sentence in (*outcome.reasons, *outcome.remarks):
+            yield Finding(
+                sentence=prefixed(f"{run.name}: ", sentence),
+                concerns=outcome.concerns.get(sentence, ()),
+                refuses=sentence in outcome.reasons,
+                unsteady=sentence in outcome.unsteady,
+            )
 
 
 # -------------------- statistics of the mean (see `tumble.result.coverage`) --------------------
@@ -266,31 +266,27 @@ def _mean_parameters(
     within = unshared.sum(axis=0) / count**2
     covariance = within + shared_mean
     np.fill_diagonal(within, variances.sum(axis=0) / count**2)
-    parameters = []
-    for i, name in enumerate(names):
-        estimates = [launch[name] for launch in launches]
+    estimates, run_to_run = [[launch[name] for launch in launches] for name in names], values.std(axis=0, ddof=1)
+    degrees = list[float | None]()
+    for i, members in enumerate(estimates):
         parts = []
-        for p, C, variance in zip(estimates, covariances, variances, strict=True):
-            dof = None if p.dof is None or C[i, i] == 0.0 else p.dof * float(variance[i] / C[i, i]) ** 2
-            parts.append((float(variance[i]), dof))
-        run_to_run = float(np.std(values[:, i], ddof=1))
-        u, dof = u_and_degrees_of_mean(parts, run_to_run, float(np.sqrt(shared_mean[i, i])))
+        for p, C, variance in zip(members, covariances, variances[:, i].tolist(), strict=True):
+            dof = None if p.dof is None or C[i, i] == 0.0 else p.dof * float(variance / C[i, i]) ** 2
+            parts.append((variance, dof))
+        u, dof = u_and_degrees_of_mean(parts, float(run_to_run[i]), float(np.sqrt(shared_mean[i, i])))
         covariance[i, i] = u**2
-        prior = max((p.prior for p in estimates if p.prior is not None), default=None)
-        parameters.append(
-            Parameter(
-                name=name,
-                value=float(values[:, i].mean()),
-                u=float(np.sqrt(covariance[i, i])),
-                unit=estimates[0].unit,
-                deviation=_mean_where_known([p.deviation for p in estimates]),
-                run_to_run=run_to_run,
-                dof=dof,
-                prior=prior,
-                learned=None if prior is None else learned_fraction(u, prior),
-            )
-        )
-    return tuple(parameters), covariance, within
+        degrees.append(dof)
+    parameters = parameters_of(
+        names,
+        values.mean(axis=0),
+        np.sqrt(np.diag(covariance)),
+        unit=[members[0].unit for members in estimates],
+        deviation=[_mean_where_known([p.deviation for p in members]) for members in estimates],
+        run_to_run=run_to_run.tolist(),
+        dof=degrees,
+        prior=[max((p.prior for p in each if p.prior is not None), default=None) for each in estimates],
+    )
+    return parameters, covariance, within
 
 
 def _differing_launches(
@@ -344,28 +340,26 @@ def _mean_budget(
 
     The share of a source in the variances `within` (m, m) is its share in the sum over the launches; a prior also has
     its shared part. Its standard uncertainty is the root mean square over the launches."""
-    by_name: dict[str, list[SourceContributions]] = {}
+    members = dict[str, list[SourceContributions]]()
     for each in chain(*(launch.evidence.budget for launch in launches)):
         if each.name != "clock" and (each.name != "gravity" or not shared["gravity"].any()):
-            by_name.setdefault(each.name, []).append(each)
-    nothing = np.zeros((1, *within.shape))
-    priors = [shared.get(name, nothing) if name.startswith("prior.") else nothing for name in by_name]
-    unshared = [
-        np.sum([[each.contributions.get(n, 0.0) ** 2 for n in names] for each in members], axis=0)
-        - np.diagonal(prior, axis1=1, axis2=2).sum(axis=0)
-        for members, prior in zip(by_name.values(), priors, strict=True)
-    ]
-    variances = np.reshape(unshared, (len(unshared), len(names))).clip(0.0)
-    total = variances.sum(axis=0)
-    shares = np.divide(variances, total, out=np.zeros_like(variances), where=total > 0.0)
+            members.setdefault(each.name, []).append(each)
+    priors = {name: covariances for name, covariances in shared.items() if name.startswith("prior.")}
+    variances = dict[str, Array]()
+    for name, lines in members.items():
+        squares = np.sum([[line.contributions.get(n, 0.0) ** 2 for n in names] for line in lines], axis=0)
+        prior = np.einsum("lmm->m", priors[name]) if name in priors else 0.0
+        variances[name] = np.maximum(squares - prior, 0.0)
+    total = np.sum([np.zeros(len(names)), *variances.values()], axis=0)
     budget = UncertaintyBudget(sources=(), covariances=np.empty((0, *within.shape)))
-    for (name, members), prior, share in zip(by_name.items(), priors, shares, strict=True):
-        u, dof = [each.u or 0.0 for each in members], None
-        if all(each.dof is not None for each in members):
-            dof = welch_satterthwaite((size**2, each.dof) for size, each in zip(u, members, strict=True))
-        rms = None if members[0].u is None else float(np.sqrt(np.mean(np.square(u))))
-        each_source = replace(source(name, rms, members[0].unit, dof), basis=members[0].basis)
-        budget = budget.with_source(each_source, np.diag(share * np.diag(within)) + prior.mean(axis=0))
+    for name, lines in members.items():
+        u, dof = [line.u or 0.0 for line in lines], None
+        if all(line.dof is not None for line in lines):
+            dof = welch_satterthwaite((size**2, line.dof) for size, line in zip(u, lines, strict=True))
+        rms = None if lines[0].u is None else float(np.sqrt(np.mean(np.square(u))))
+        share = np.divide(variances[name], total, out=np.zeros_like(total), where=total > 0.0)
+        part = np.diag(share * np.diag(within)) + (priors[name].mean(axis=0) if name in priors else 0.0)
+        budget = budget.with_source(replace(source(name, rms, lines[0].unit, dof), basis=lines[0].basis), part)
     return budget
 
 
@@ -377,11 +371,6 @@ def check_recordings(sessions: Sequence[Session], digests: Sequence[str]) -> Non
     for (one, digest), (other, other_digest) in combinations(zip(sessions, digests, strict=True), 2):
         if digest == other_digest and one.excluded == other.excluded:
             raise InputError(f"{other.name}: holds the same recording as {one.name}; name every recording once")
-
-
-def joint_digest(digests: Iterable[str]) -> str:
-    """Return the SHA-256 of a list of SHA-256."""
-    return hashlib.sha256("\n".join(digests).encode()).hexdigest()
 
 
 def joint_circumstances(circumstances: Sequence[Circumstances]) -> Circumstances:

@@ -20,8 +20,8 @@ from tumble.inference.sources import UncertaintyBudget, source
 from tumble.recording.session import Channels
 from tumble.reduction.observations import Observations
 from tumble.result.calibration import Calibration
-from tumble.result.parts import Parameter
 from tumble.result.uncertainty_budget import contributions_of
+from tumble.run.from_estimate import extended, parameters_of
 from tumble.sensors.model import Block
 from tumble.units import DEGREE
 
@@ -38,29 +38,20 @@ def with_magnetometer(
         why = magnetometer if isinstance(magnetometer, str) else magnetometer.refused if magnetometer else ""
         why = why or "it is calibrated with the other sensors by the method joint: take that"
         note = f"magnetometer: {why}, or leave [log.magnetometer] out; the rest of the session is calibrated without it"
-        missing = replace(calibration.outcome, unobservable=calibration.outcome.unobservable + PARAMETER_NAMES)
-        provenance = replace(calibration.provenance, notes=(*calibration.provenance.notes, note))
-        return replace(calibration, outcome=missing, provenance=provenance)
+        return extended(calibration, unobservable=PARAMETER_NAMES, notes=[note])
     # derivatives by the other parameters, which are neglected in another frame than `accelerometer`
-    G = np.zeros((len(magnetometer.values), len(covariance)))
+    G, unit = np.zeros((len(magnetometer.values), len(covariance))), spec.unit_name
     if calibration.frame == "accelerometer":
-        columns = dict(zip(estimate.names, magnetometer.by_parameters.T, strict=True))
-        for i, parameter in enumerate(calibration.parameters):
-            G[:, i] = columns[parameter.name]
+        G = magnetometer.by_parameters[:, [estimate.names.index(p.name) for p in calibration.parameters]]
     across = G @ covariance
     joint_covariance = np.block([[covariance, across.T], [across, magnetometer.covariance + across @ G.T]])
-    mag_covariance, unit = joint_covariance[len(covariance) :, len(covariance) :], spec.unit_name
-    numbers = zip(
-        magnetometer.names, magnetometer.values.tolist(), np.sqrt(mag_covariance.diagonal()).tolist(), strict=True
-    )
-    units = (unit,) * 3 + ("1",) * 3 + ("rad",) * 6
+    mag_covariance = joint_covariance[len(covariance) :, len(covariance) :]
+    units, u = (unit,) * 3 + ("1",) * 3 + ("rad",) * 6, np.sqrt(mag_covariance.diagonal())
     by_fit = UncertaintyBudget(sources=(source("mag.fit"),), covariances=mag_covariance[None])
-    notes = calibration.provenance.notes + tuple(_notes(magnetometer, observations, spec))
-    evidence = calibration.evidence
-    return replace(
+    parameters, evidence = parameters_of(magnetometer.names, magnetometer.values, u, unit=units), calibration.evidence
+    with_parameters = replace(
         calibration,
-        parameters=calibration.parameters
-        + tuple(Parameter(name=n, value=x, u=u, unit=w) for (n, x, u), w in zip(numbers, units, strict=True)),
+        parameters=calibration.parameters + parameters,
         covariance=joint_covariance,
         mag=magnetometer.model,
         evidence=replace(
@@ -68,8 +59,8 @@ def with_magnetometer(
             fits={**evidence.fits, MAGNETOMETER: replace(magnetometer.fit, unit=unit)},
             budget=(*evidence.budget, *contributions_of(by_fit, magnetometer.names)),
         ),
-        provenance=replace(calibration.provenance, notes=notes),
     )
+    return extended(with_parameters, notes=_notes(magnetometer, observations, spec))
 
 
 def _notes(magnetometer: MagnetometerEstimate, observations: Observations, spec: Channels) -> Iterator[str]:

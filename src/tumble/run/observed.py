@@ -8,10 +8,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -30,12 +29,12 @@ from tumble.diagnosis.channels import (
 from tumble.diagnosis.verdict import no_rests
 from tumble.files import FilePath
 from tumble.inference.estimate import Judgement, Outcome
+from tumble.inference.hyperparameters import size_factors
 from tumble.inference.mended_samples import with_mended_samples
 from tumble.recording.log import Chunk, Log, open_log
-from tumble.recording.rows.gaps import Gap
 from tumble.recording.session import Circumstances, Session
 from tumble.recording.session_file import session_from
-from tumble.reduction.blocks.reducer import Reduction, reduce_log
+from tumble.reduction.blocks.reducer import FileBlocks, Reduction, reduce_log
 from tumble.reduction.blocks.tuning import USUAL, Tuning
 from tumble.reduction.observations import Observations, hold_attitude, observe, split_warming_rests
 from tumble.reduction.rests.blemishes import without_blemishes
@@ -45,9 +44,10 @@ from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rest
 from tumble.reduction.turns.links import links_of
 from tumble.reduction.turns.turns import clipping_limits, torn_turns, without_ambiguous_turns
 from tumble.rotation import onto_body
+from tumble.run.from_estimate import origin_of
 from tumble.sensors.grades import GRADES, guessed_grade
 from tumble.sensors.grades import grade as grade_named
-from tumble.sensors.parameters import usual_sizes
+from tumble.sensors.parameters import prior_sizes, usual_sizes
 from tumble.units import DEGREE, IntArray
 
 Progress = Callable[[Log], Iterable[Chunk]]
@@ -58,33 +58,26 @@ Progress = Callable[[Log], Iterable[Chunk]]
 class Observed(Judged):
     """Rests, turns and faults of a session's log.
 
-    `digest` is the future SHA-256 of its content. `gaps` were bridged or left out; `segmentation` has rests and turns,
-    found and rejected, `observations` those found, None if nothing rests. `faults` are sentences on the recording,
-    `gyro_faults` on the gyros, `gyro_bias_faults` on their biases. `recorded` is the date, ISO 8601, by the log's own
-    times, `notes` are remarks on these.
-
-    `trial` are the observations or, if no rest was found with the gyros, those of the rests found by the accelerometers
-    alone: with gyros in a wrong unit no turn is fast enough to be found."""
+    `segmentation` has rests and turns, found and rejected, `observations` those found, None if nothing rests. `faults`
+    are sentences on the recording, `gyro_faults` on the gyros, which are left out then, and `gyro_bias_faults` on their
+    biases. `notes` are remarks on the times of the log."""
 
     json_fields: ClassVar = ("verdict", "reasons", "gyro", "rate", "segmentation", "observations")
 
     session: Session
-    digest: Future[str]
-    gaps: tuple[Gap, ...]
+    log: Log
     reduction: Reduction
     segmentation: Segmentation
     observations: Observations | None
-    trial: Observations | None
     faults: tuple[str, ...]
     gyro_faults: tuple[str, ...] = ()
     gyro_bias_faults: tuple[str, ...] = ()
-    recorded: str | None = None
     notes: tuple[str, ...] = ()
 
     @property
     def sha256(self) -> str:
         """SHA-256 of the log's content."""
-        return self.digest.result()
+        return self.log.sha256()
 
     @property
     def reasons(self) -> tuple[str, ...]:
@@ -100,12 +93,17 @@ class Observed(Judged):
     def circumstances(self) -> Circumstances:
         """Circumstances of the session, with the date of the log if it states none."""
         stated = self.session.circumstances
-        return stated if stated.date is not None else replace(stated, date=self.recorded)
+        return stated if stated.date is not None else replace(stated, date=self.log.recorded)
 
     @property
     def rate(self) -> float:
         """Sample rate, Hz."""
         return self.reduction.rate
+
+    @property
+    def origin(self) -> dict[str, Any]:
+        """Log, sample rate and circumstances, as fields of `Provenance`."""
+        return origin_of(self.sha256) | {"sample_rate": self.rate, "circumstances": self.circumstances}
 
 
 OTHER_GRADE_NOISE = 10.0  # ratio to the usual white noise of a grade; within a grade noise differs by a factor of 3
@@ -141,15 +139,15 @@ def inspect_session(
     >>> len(found.segmentation.rests), found.faults
     (4, ())
     """
-    with ThreadPoolExecutor(max_workers=1) as beside:
-        return inspected(session_from(session).of_known_scales(), progress, beside, tuning)
+    described = session_from(session).of_known_scales()
+    log = open_log(described)
+    reduction = reduce_log(log, described.accel_block, described.gyro_block, progress(log), tuning)
+    return _inspected(log, described, reduction)
 
 
-def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tuning = USUAL) -> Observed:
-    """Inspect a session while the executor `beside` hashes its log."""
-    log = open_log(session)
-    reduction = reduce_log(log, session.accel_block, session.gyro_block, progress(log), tuning)
-    digest = beside.submit(log.sha256)
+def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
+    """Find rests, turns and faults in a reduced log, once more without its gyros if they are faulty."""
+    whole, accel_block = reduction, session.accel_block
     of_accel, of_gyros = channel_faults(reduction, session.log)
     faults = (
         [fault.sentence for fault in of_accel]
@@ -158,18 +156,18 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
     )
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         reduction = without_blemishes(reduction)
-        segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
-        rejected = ""
-        if session.log.gyro is not None and 0 < len(segmentation.rests) < reduction.tuning.level_attitudes:
-            by_accel = find_rests(reduction, session.accel_block, None)
-            more = len(by_accel.rests) - len(segmentation.rests)
-            if more > max(REJECTED_RESTS_RATIO * len(segmentation.rests), reduction.tuning.level_attitudes):
+        segmentation, rejected = find_rests(reduction, accel_block, session.gyro_block), ""
+        found, few = len(segmentation.rests), reduction.tuning.level_attitudes
+        if session.log.gyro is not None and 0 < found < few:
+            by_accel = find_rests(reduction, accel_block, None)
+            more = len(by_accel.rests) - found
+            if more > max(REJECTED_RESTS_RATIO * found, few):
                 segmentation = by_accel
                 rejected = (
                     f"the gyros read another rate in {more} of {len(by_accel.rests)} rests of the accelerometers, and "
                     "why cannot be told: look at the rests with `tumble inspect`"
                 )
-        faults = faults or [*normalised(reduction, segmentation.rests, onto_body(session.accel_block.axes))]
+        faults = faults or [*normalised(reduction, segmentation.rests, onto_body(accel_block.axes))]
         segmentation = without_times(reduction, segmentation, session.excluded)
         segmentation = replace(segmentation, stated_rate=session.log.rate)
         if session.gyro_block is not None and session.log.gyro is not None:
@@ -179,15 +177,16 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
             )
             enough = len(clipped) == len(of_gyros) and _suffices(reduction, segmentation, clipped)
             if of_gyros and not (faults or enough):
-                alone = inspected(session.without_gyros(), progress, beside, tuning)
+                alone = _inspected(log, session.without_gyros(), _of_accelerometers(whole))
                 sentences = tuple(fault.sentence for fault in of_gyros)
                 if alone.observations is not None and not alone.faults:
                     return replace(alone, gyro_faults=sentences)
                 faults = list(sentences)
         observations = _observed(session, reduction, segmentation.rests)
+        # with gyros in a wrong unit no turn is fast enough for a rest to be found
         trial = observations
         if trial is None and not faults:
-            trial = _observed(session, reduction, find_rests(reduction, session.accel_block, None).rests)
+            trial = _observed(session, reduction, find_rests(reduction, accel_block, None).rests)
     gyro_faults = list[str]()
     if trial is not None and not faults:
         by_grade = usual_sizes(grade_of(session, trial)[0], session.device.prior)
@@ -202,18 +201,25 @@ def inspected(session: Session, progress: Progress, beside: Executor, tuning: Tu
         gyro_faults = [*dead_zones(reduction, segmentation.rests, session.log.gyro)]
     return Observed(
         session=session,
-        digest=digest,
-        gaps=log.gaps,
+        log=log,
         reduction=reduction,
         segmentation=segmentation,
         observations=observations,
-        trial=trial,
         faults=tuple(faults),
         gyro_faults=tuple(gyro_faults),
         gyro_bias_faults=() if faults else segmentation.jumped(),
-        recorded=log.recorded,
         notes=(*log.notes, *(fault.sentence for fault in of_gyros if not faults)),
     )
+
+
+def _of_accelerometers(reduction: Reduction) -> Reduction:
+    """Return the reduction of the accelerometers alone."""
+    files = list[FileBlocks]()
+    for file in reduction.files:
+        gyro = file.gyro
+        none = replace(gyro, means=gyro.means[:, :0], ends=gyro.ends[:, :0], tail_total=gyro.tail_total[:0])
+        files.append(replace(file, gyro=none))
+    return replace(reduction, files=tuple(files), gyro_channels=(), samples=None)
 
 
 def _suffices(reduction: Reduction, segmentation: Segmentation, clipped: list[int]) -> bool:
@@ -255,6 +261,27 @@ def grade_of(session: Session, observations: Observations) -> tuple[str, str]:
     noisier = white[kind] > OTHER_GRADE_NOISE * getattr(grade_named(stated).noise, f"{kind}_white")
     poorer = order.index(guess) > order.index(stated)
     return (guess, because) if poorer and (noisier or because != "the noise") else (stated, "")
+
+
+def with_grade(session: Session, observations: Observations) -> Observations:
+    """Return the observations with the sizes of parameter groups and in-run biases usual for the grade of the
+    device."""
+    grade, guessed_from = grade_of(session, observations)
+    sheet, noise = session.device.prior, grade_named(grade).noise
+    sizes, usual = prior_sizes(grade, sheet), usual_sizes(grade)
+    note = f"errors other than bias, scale factor and axis angles have the size usual for the grade {grade}"
+    if guessed_from:
+        note = Advised(f"{note}, guessed from {guessed_from}", "state another as [device] grade")
+    basis = f"{'guessed' if guessed_from else 'stated'} grade {grade}"
+    return replace(
+        observations,
+        usual=sizes,
+        size_basis={name: "data sheet" if name in sheet else basis for name in sizes},
+        too_small=size_factors(grade, sizes, sheet, guessed=bool(guessed_from)),
+        in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
+        drift={kind: usual[f"{kind}.bias.drift"] for kind in ("accel", "gyro") if f"{kind}.bias.drift" not in sizes},
+        notes=(*observations.notes, note),
+    )
 
 
 def _observed(session: Session, reduction: Reduction, rests: tuple[Stretch, ...]) -> Observations | None:

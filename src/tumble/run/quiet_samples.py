@@ -143,13 +143,10 @@ def longest_rest(session: Session, *, progress: Progress = Log.chunks) -> QuietR
     if not observed.segmentation.rests:
         raise InputError(f"{session.name}: expected a rest to take the noise from, found none; see `tumble inspect`")
     rest = max(observed.segmentation.rests, key=lambda rest: rest.stop - rest.start)
-    samples = [
-        _samples(chunk)[(chunk.time > rest.start + _MARGIN) & (chunk.time <= rest.stop + _MARGIN)]
-        for chunk in open_log(session).chunks()
-        if chunk.file == rest.file
-    ]
-    source = f"the longest rest, {rest.start:z.1f}–{rest.stop:z.1f} s"
-    return _record(session, np.concatenate(samples), observed.rate, source)
+    ends = np.array([rest.start, rest.stop]) + _MARGIN
+    chunks = (chunk for chunk in open_log(session).chunks() if chunk.file == rest.file)
+    at_rest = [chunk.part(slice(*np.searchsorted(chunk.time, ends, side="right"))) for chunk in chunks]
+    return _record(session, at_rest, observed.rate, f"the longest rest, {rest.start:z.1f}–{rest.stop:z.1f} s")
 
 
 def whole_log(file: Path, layout: Mapping[str, Any]) -> QuietRecord:
@@ -163,18 +160,14 @@ def whole_log(file: Path, layout: Mapping[str, Any]) -> QuietRecord:
     except SessionError as error:
         raise InputError(f"{file}: {str(error).split(': ', 1)[1]}; describe the log with the options") from None
     log = open_log(session)
-    samples, source = np.concatenate(list(map(_samples, log.chunks()))), f"all of {file.name}"
-    if gyros_alone:
-        session = replace(session, log=replace(session.log, gyro=session.log.accel))
-        empty = np.empty((len(samples), 0))
-        return QuietRecord(session=session, accel=empty, gyro=samples, rate=log.rate, source=source)
-    return _record(session, samples, log.rate, source)
+    record = _record(session, list(log.chunks()), log.rate, f"all of {file.name}")
+    if not gyros_alone:
+        return record
+    of_gyros = replace(session, log=replace(session.log, gyro=session.log.accel))
+    return replace(record, session=of_gyros, accel=record.gyro, gyro=record.accel)
 
 
-def _samples(chunk: Chunk) -> Array:
-    return chunk.accel if chunk.gyro is None else np.hstack([chunk.accel, chunk.gyro])
-
-
-def _record(session: Session, samples: Array, rate: float, source: str) -> QuietRecord:
-    accel, gyro = map(np.ascontiguousarray, np.hsplit(samples, [len(session.log.accel.columns)]))
+def _record(session: Session, chunks: Sequence[Chunk], rate: float, source: str) -> QuietRecord:
+    accel = np.concatenate([each.accel for each in chunks])
+    gyro = np.concatenate([np.empty((len(each.accel), 0)) if each.gyro is None else each.gyro for each in chunks])
     return QuietRecord(session=session, accel=accel, gyro=gyro, rate=rate, source=source)

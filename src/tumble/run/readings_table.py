@@ -26,17 +26,18 @@ from pathlib import Path
 
 import numpy as np
 
+from tumble.advice import Advised, advised
 from tumble.diagnosis.observability import rough_directions
 from tumble.documents import check_regular
 from tumble.earth import NORMAL_GRAVITY_U
 from tumble.errors import InputError
 from tumble.recording.columns.names import columns_by_name
 from tumble.recording.formats import is_recording
-from tumble.recording.session import Site
+from tumble.recording.session import Channels, Site
 from tumble.reduction.observations import Observations
 from tumble.reduction.rests.rests import Rests
 from tumble.sensors.model import Block
-from tumble.units import ACCEL_UNITS, G_STANDARD, Array, IntArray
+from tumble.units import ACCEL_UNITS, G_STANDARD, Array, IntArray, fitting_units
 from tumble.usual_setup import MOVE, ON_TABLE
 
 POLARITY_COMPONENT = 0.3  # least component of up along a channel for a position that determines its polarity
@@ -191,11 +192,11 @@ def positions_of(table: ReadingsTable, rows_per_position: int = 1) -> ReadingsTa
         raise InputError(
             f"--rows-per-position: expected a number that goes into the {N} rows of {table.path}, found {rows}"
         )
-    blocks, lines = table.values.reshape(-1, rows, 3), table.lines[::rows]
-    _, first, inverse = np.unique(blocks.reshape(len(blocks), -1), axis=0, return_index=True, return_inverse=True)
-    distinct, original = np.sort(first), first[inverse.ravel()]
-    left_out: tuple[str, ...] = ()
-    if len(copies := np.flatnonzero(original != np.arange(len(blocks)))):
+    blocks, lines = table.values.reshape(-1, rows, 3) + 0.0, table.lines[::rows]
+    first = dict[bytes, int]()
+    original = [first.setdefault(block.tobytes(), i) for i, block in enumerate(blocks)]
+    distinct, copies, left_out = list(first.values()), [i for i, j in enumerate(original) if i != j], tuple[str, ...]()
+    if copies:
         named = [f"line {lines[i]} as line {lines[original[i]]}" for i in copies[:COPIES_SHOWN]]
         named += [f"{len(copies) - COPIES_SHOWN} more"] if len(copies) > COPIES_SHOWN else []
         left_out = (
@@ -231,43 +232,40 @@ def table_rests(readings: Array, covariance: Array, block: Block, site: Site) ->
 # -------------------- unit, scale and gravity --------------------
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class Nominal:
-    """Unit and nominal scale of the readings of a table, and gravity.
+def site_of(gravity: float | None, gravity_u: float | None) -> tuple[Site, str]:
+    """Return the site of a stated gravity, m/s², or that of gravity as the unit, with a note on it.
 
-    `per` is the unit of the input in a raw scale, else the unit itself. `scale` (3,) is the output per m/s², signed by
-    polarity. `gravity_u` is None if gravity at the place is the unit. `estimated`: the scale was taken from the
-    readings. `assumed`: columns with an assumed polarity."""
-
-    unit: str
-    per: str
-    scale: Array
-    gravity: float
-    gravity_u: float | None
-    estimated: bool
-    assumed: tuple[str, ...]
-
-    @property
-    def per_unit(self) -> Array:
-        """Output (3,) per unit `per`."""
-        return self.scale * UNITS[self.per]
-
-    def to_si(self, values: Array) -> Array:
-        """Convert readings (N, 3) to m/s²."""
-        return values / self.scale
+    Raises InputError for a gravity that no place on Earth has."""
+    if gravity is None and gravity_u is not None:
+        raise InputError("--gravity-u: expected --gravity with it, found it alone")
+    if gravity is not None and not EARTH_GRAVITY[0] <= gravity <= EARTH_GRAVITY[1]:
+        raise InputError(f"--gravity: expected a number from 9.7 to 9.9 (m/s^2, on Earth), found {gravity:g}")
+    if gravity_u is not None and not 0.0 <= gravity_u <= LARGEST_GRAVITY_U:
+        raise InputError(f"--gravity-u: expected a number from 0 to {LARGEST_GRAVITY_U:g} (m/s^2), found {gravity_u:g}")
+    if gravity is None:
+        found = (
+            "gravity is not stated: the unit is g at the place of the readings, printed as 9.80665 m/s^2; u does not "
+            "include the difference, up to 0.3 %"
+        )
+        site = Site(latitude=None, height=None, gravity=G_STANDARD, gravity_u=0.0, gravity_is_unit=True)
+        return site, Advised(found, "for values in m/s^2 give --gravity and --gravity-u")
+    u = NORMAL_GRAVITY_U if gravity_u is None else gravity_u
+    note = f"gravity {gravity:.9g} m/s^2 with u = {u:.2g} m/s^2, in all scale factors"
+    site = Site(latitude=None, height=None, gravity=gravity, gravity_u=u)
+    return site, note if u else "gravity is taken as exact, as stated"
 
 
-def nominal_of(
+def channels_of(
     table: ReadingsTable,
+    gravity: float,
     *,
     unit: str,
     scale: Sequence[float] | None,
     scale_per: str | None,
-    gravity: float | None,
-    gravity_u: float | None,
     directions: Mapping[int, Array],
-) -> Nominal:
-    """Return unit, scale and gravity from the arguments of `calibrate_readings`.
+) -> tuple[Channels, list[str]]:
+    """Return the columns of a table with unit and nominal scale by the arguments of `calibrate_readings`, and notes on
+    the scale and polarity that are not stated.
 
     Raises InputError if these contradict each other or the table."""
     if unit not in (*RAW, *UNITS):
@@ -277,19 +275,12 @@ def nominal_of(
     per = unit if unit not in RAW else scale_per or "g"
     if per not in UNITS:
         raise InputError(f"--scale-per: expected one of {', '.join(UNITS)}, found {per!r}")
-    if gravity is None and gravity_u is not None:
-        raise InputError("--gravity-u: expected --gravity with it, found it alone")
-    if gravity is not None and not EARTH_GRAVITY[0] <= gravity <= EARTH_GRAVITY[1]:
-        raise InputError(f"--gravity: expected a number from 9.7 to 9.9 (m/s^2, on Earth), found {gravity:g}")
-    if gravity_u is not None and not 0.0 <= gravity_u <= LARGEST_GRAVITY_U:
-        raise InputError(f"--gravity-u: expected a number from 0 to {LARGEST_GRAVITY_U:g} (m/s^2), found {gravity_u:g}")
-    g = G_STANDARD if gravity is None else gravity
 
     # output per unit: 1, as stated, or from the readings to three digits
-    sizes, estimated = np.ones(3), unit in RAW and scale is None
-    if estimated:
-        outputs = fitted_outputs(table.values, g / UNITS[per])
-        outputs = 0.5 * np.ptp(table.values, axis=0) / (g / UNITS[per]) if outputs is None else outputs
+    sizes, stated = np.ones(3), unit not in RAW or scale is not None
+    if not stated:
+        outputs = fitted_outputs(table.values, gravity / UNITS[per])
+        outputs = 0.5 * np.ptp(table.values, axis=0) / (gravity / UNITS[per]) if outputs is None else outputs
         sizes = np.array([float(f"{s:.3g}") if s > 0.0 else 1.0 for s in outputs])
     elif scale is not None:
         if len(scale) not in (1, 3):
@@ -297,18 +288,38 @@ def nominal_of(
         sizes = np.broadcast_to(np.asarray(scale, dtype=float), 3)
         if not np.all((np.abs(sizes) > 1.0 / LARGEST) & (np.abs(sizes) < LARGEST)):
             raise InputError(f"--scale: expected numbers other than zero, found {', '.join(f'{s:g}' for s in sizes)}")
-    signs, shown_by = _polarity(table, sizes, directions, free=estimated)
-    return Nominal(
-        unit=unit,
-        per=per,
-        scale=sizes * signs / UNITS[per],
-        gravity=g,
-        gravity_u=NORMAL_GRAVITY_U if gravity is not None and gravity_u is None else gravity_u,
-        estimated=estimated,
-        assumed=tuple(
-            name for name, position in zip(table.columns, shown_by, strict=True) if estimated and not position
-        ),
+    signs, shown_by = _polarity(table, sizes, directions, free=not stated)
+    channels = Channels(
+        columns=table.columns,
+        unit=ACCEL_UNITS[per],
+        unit_name=unit,
+        scale=sizes * signs,
+        offset=np.zeros(3),
+        axes=np.eye(3),
+        range=None,
+        scale_stated=stated,
     )
+    notes = list[str]()
+    if not stated:
+        numbers, fitting = ", ".join(f"{s:.6g}" for s in channels.scale), fitting_units(sizes / UNITS[per], UNITS)
+        also = f"{' or '.join(f'--unit {unit}' for unit in fitting)} would fit" if fitting else ""
+        notes.append(advised(f"no nominal scale was stated: {numbers} {unit}/{per} was taken from the readings", also))
+        if assumed := [name for name, position in zip(table.columns, shown_by, strict=True) if not position]:
+            sentence = f"polarity of {', '.join(assumed)}: taken as positive, since the readings do not show it"
+            notes.append(Advised(sentence, "state it with --scale or --position"))
+    if negative := [name for name, s in zip(table.columns, channels.scale, strict=True) if s < 0.0]:
+        mirrored = (
+            "; as they are written, the readings are the mirror image of a right-handed triad, so the fit needs a "
+            "reflection"
+        )
+        odd = mirrored if len(negative) % 2 else ""
+        notes.append(f"polarity of {', '.join(negative)}: negative, as the scale or the positions state{odd}")
+    return channels, notes
+
+
+def unit_of_scale(channels: Channels) -> str:
+    """Return the name of the unit of the input in the nominal scale of a table."""
+    return next(name for name, size in UNITS.items() if size == channels.unit.factor)
 
 
 def fitted_outputs(values: Array, length: float) -> Array | None:

@@ -26,8 +26,7 @@ to u² of its bias, G being the usual g-sensitivity; with a calibration, its bia
 
     b(T) = b_A + Σ_k b_k (T − T_A)^k                                                                                (3)
 
-which are independent of θ_A except through (2): the change of the biases since then is only in c_p. If T_A is not
-known it may be any recorded temperature, and the change of (3) over these is in u(b_A).
+which are independent of θ_A except through (2): the change of the biases since then is only in c_p.
 """
 
 from __future__ import annotations
@@ -54,24 +53,22 @@ from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import degrees_through, welch_satterthwaite
-from tumble.result.parts import (
-    Evidence,
-    Parameter,
-    Provenance,
-    SourceContributions,
-    learned_fraction,
-)
+from tumble.result.parts import Evidence
 from tumble.result.record import to_references
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.from_estimate import (
     LAGS,
+    assemble,
+    blocks_of,
     calibrated_temperature,
     check_sensors,
-    refused_calibration,
+    extended,
+    origin_of,
+    parameters_of,
     rest_results,
 )
-from tumble.run.observed import Observed, observations_in_parts
-from tumble.sensors.model import Block, SensorModel
+from tumble.run.observed import Observed, observations_in_parts, with_grade
+from tumble.sensors.model import SensorModel
 from tumble.sensors.parameters import (
     CURVED,
     OVER_TEMPERATURE,
@@ -79,8 +76,6 @@ from tumble.sensors.parameters import (
     group_name,
     groups,
     sensor_kind,
-    to_temperature,
-    units_of,
     variable_of,
 )
 from tumble.units import ZERO_CELSIUS, Array
@@ -101,7 +96,7 @@ def is_still(observed: Observed) -> bool:
     return one_direction(means)
 
 
-def calibrate_warming(observed: Observed, base: Calibration | None, provenance: Provenance) -> Calibration:
+def calibrate_warming(observed: Observed, base: Calibration | None) -> Calibration:
     """Calibrate a device that lay at rest over temperature.
 
     The biases of `base`, its calibration at one temperature, get coefficients over temperature; without it the result
@@ -110,38 +105,37 @@ def calibrate_warming(observed: Observed, base: Calibration | None, provenance: 
     session = observed.session
     matched = observations_in_parts(_at_rest(observed), PARTS)
     if isinstance(matched, Outcome):
-        return refused_calibration(session, "joint", matched, provenance)
+        return assemble(session, "joint", matched, observed.origin)
     observations = matched[0].of_accelerometers() if observed.gyro_faults else matched[0]
     if observations.thermometers is None or observations.rests.temperatures is None:
         raise InputError(
             f"{session.name}: expected the temperature beside the readings, with which biases change, found none; name "
             "its column in [log.temperature]"
         )
-    notes = (*observed.notes, *observations.notes)
     if base is not None:
         base = accepted_part(base)
         check_sensors(base, session)
         if base.covariance is None:
             raise InputError(f"calibration of {base.serial!r}: expected one with uncertainties, found none")
+        if base.reference_temperature is None:
+            raise InputError(
+                f"calibration of {base.serial!r}: expected one that states its temperature, about which biases change, "
+                "found none; calibrate a recording with its thermometer"
+            )
     readings = {f.file: (f.edges[1:], f.temperature) for f in observed.reduction.files if f.temperature is not None}
+    notes = (*observed.notes, *observations.notes)
     estimate, observations = _estimated(session, observations, base, readings)
-    calibration = _with_coefficients(base or _nominal(session, estimate, observations), estimate, observations, session)
-    base_provenance, digest = calibration.provenance, provenance.log_sha256
+    calibration = base or _nominal(observed, estimate, observations)
+    calibration = _with_coefficients(calibration, estimate, observations, session)
+    before, digests = calibration.provenance, [observed.sha256]
     if base is not None:
-        from tumble.run.launches import joint_digest
-
-        digest = joint_digest([base_provenance.log_sha256 or "", digest or ""])
-    return replace(
+        digests.insert(0, before.log_sha256 or "")
+    return extended(
         calibration,
-        provenance=replace(
-            base_provenance,
-            log_sha256=digest,
-            software=provenance.software,
-            created=provenance.created,
-            sample_rate=base_provenance.sample_rate or observed.rate,
-            notes=(*base_provenance.notes, *notes, *_notes(estimate, observations, base)),
-            assumptions=(*base_provenance.assumptions, *_assumptions(observations, base, session.log.doubts)),
-        ),
+        notes=(*notes, *_notes(estimate, observations, base)),
+        assumptions=(*before.assumptions, *_assumptions(observations, session.log.doubts)),
+        sample_rate=before.sample_rate or observed.rate,
+        **origin_of(*digests),
     )
 
 
@@ -160,10 +154,6 @@ def _at_rest(observed: Observed) -> Observed:
     return replace(observed, segmentation=replace(observed.segmentation, rests=rests))
 
 
-def _blocks(observations: Observations) -> list[Block]:
-    return [block for block in (observations.accel_block, observations.gyro_block) if block is not None]
-
-
 # -------------------- the estimate --------------------
 
 
@@ -172,8 +162,6 @@ def _estimated(
 ) -> tuple[Estimate, Observations]:
     """Return the joint estimate of the temperature coefficients, and the observations with the usual sizes of
     groups."""
-    from tumble.run.calibrate import with_grade
-
     graded, has_attitudes = with_grade(session, observations), not one_direction(observations.rests.accel)
     turns = graded.turns
     has_turns = turns is not None and bool((turns.duration > 0.0).any())
@@ -190,7 +178,7 @@ def _estimated(
         names += [f"scale.{power}" for power in OVER_TEMPERATURE] if separate else []
         sizes |= {f"{kind}.{name}": usual[f"{kind}.{name}"] for name in names if f"{kind}.{name}" in usual}
     calibrated = {} if base is None else {p.name: p for p in base.in_frame("accelerometer").parameters}
-    linear = [name for block in _blocks(graded) for name in block.names]
+    linear = [name for block in blocks_of(graded) for name in block.names]
     held = [name for name in linear if ".bias" not in name]
     prior = {name: (calibrated[name].u or HELD) if name in calibrated else HELD for name in held}
     observations = replace(
@@ -207,127 +195,93 @@ def _estimated(
 # -------------------- the calibration --------------------
 
 
-def _nominal(session: Session, estimate: Estimate, observations: Observations) -> Calibration:
-    """Return a calibration of nominal sensors with the biases of the gyros."""
-    gyro, blocks, budget = observations.gyro_block, _blocks(observations), estimate.budget
+def _nominal(observed: Observed, estimate: Estimate, observations: Observations) -> Calibration:
+    """Return a calibration of nominal sensors, in which the biases of the gyros are estimated, without parameters."""
+    blocks, session = blocks_of(observations), observed.session
     models = {block.kind: block.nominal() for block in blocks}
-    names, values, covariance = list[str](), np.zeros(0), np.zeros((0, 0))
-    assert budget is not None
-    if gyro is not None:
-        names = list(gyro.names[: gyro.size])
-        indices = [estimate.names.index(name) for name in names]
-        values, budget = estimate.values[indices], budget.carried(np.eye(len(estimate.names))[indices])
-        by_force = observations.usual.get("gyro.g_sensitivity", 0.0)
-        force = by_force * observations.site.gravity
-        budget = budget.with_source(
-            source("prior.gyro.g_sensitivity", by_force, "rad*s/m"), force**2 * np.eye(len(names))
-        )
-        covariance = budget.covariances.sum(axis=0)
+    names = [name for block in blocks for name in block.names if group_name(name) != "gyro.bias"]
+    if (gyro := observations.gyro_block) is not None:
         bias = np.zeros(gyro.size)
-        bias[gyro.channels] = values
+        bias[gyro.channels] = estimate.values[[estimate.names.index(name) for name in gyro.names[: gyro.size]]]
         models["gyro"] = SensorModel(matrix=models["gyro"].matrix, bias=bias)
-    missing = tuple(name for block in blocks for name in block.names if name not in names)
-    absent = f"{', '.join(dict.fromkeys(map(group_name, missing)))}: not shown at rest, taken as 0"
-    provenance = Provenance(
-        absent=(absent,),
-        assumptions=(Advised(absent, "tumble calibrate LOG --base FILE.json takes them from a calibration"),),
-    )
-    nothing = refused_calibration(session, "joint", Outcome(unobservable=missing), provenance)
-    return replace(
-        nothing,
-        parameters=tuple(
-            Parameter(name=name, value=float(value), u=float(u), unit="rad/s")
-            for name, value, u in zip(names, values, np.sqrt(np.diag(covariance)), strict=True)
-        ),
-        covariance=covariance,
+    absent = f"{', '.join(dict.fromkeys(map(group_name, names)))}: not shown at rest, taken as 0"
+    assumption = Advised(absent, "tumble calibrate LOG --base FILE.json takes them from a calibration")
+    return assemble(
+        session,
+        "joint",
+        Outcome(unobservable=tuple(names)),
+        {"circumstances": observed.circumstances, "absent": (absent,), "assumptions": (assumption,)},
+        covariance=np.zeros((0, 0)),
         accel=models["accel"],
         gyro=models.get("gyro"),
         axes={block.kind: tuple(map(tuple, block.axes.tolist())) for block in blocks},
         temperature=calibrated_temperature(session, observations),
-        evidence=Evidence(
-            fits=estimate.fits,
-            hyperparameters=estimate.hyperparameters,
-            integral=estimate.integral,
-            budget=contributions_of(budget, names, observations.size_basis) if names else (),
-        ),
-        provenance=replace(nothing.provenance, site=observations.site),
+        evidence=Evidence(fits=estimate.fits, hyperparameters=estimate.hyperparameters, integral=estimate.integral),
     )
 
 
 def _with_coefficients(
     base: Calibration, estimate: Estimate, observations: Observations, session: Session
 ) -> Calibration:
-    """Return a calibration with its temperature coefficients replaced by these, Eq. (2) and (3)."""
+    """Return a calibration with its temperature coefficients replaced by these, Eq. (2) and (3), and with the biases of
+    the gyros if it has none."""
     assert estimate.budget is not None
     assert base.covariance is not None
-    new = [n for n in estimate.names if beyond_linear(n) and getattr(base, sensor_kind(n)) is not None]
+    new = [
+        name
+        for name in estimate.names
+        if getattr(base, sensor_kind(name)) is not None
+        and (beyond_linear(name) or (group_name(name) == "gyro.bias" and name not in base))
+    ]
     replaced = set(map(group_name, new))
     kept = [i for i, p in enumerate(base.parameters) if group_name(p.name) not in replaced]
-    kept_names, has_reference = [base.parameters[i].name for i in kept], base.reference_temperature is not None
-    names, first = [*kept_names, *new], len(kept)
-    move, here = np.eye(len(estimate.names)), calibrated_temperature(session, observations)
-    if has_reference:  # convert from the references of this recording
-        move = to_references(replace(base, temperature=here), estimate.names, base.temperature)
-    move = move[[estimate.names.index(name) for name in new]]
+    kept_names, first = [base.parameters[i].name for i in kept], len(kept)
+    names, here = [*kept_names, *new], replace(base, temperature=calibrated_temperature(session, observations))
+    move = to_references(here, estimate.names, base.temperature)[[estimate.names.index(name) for name in new]]
     budget = estimate.budget.carried(move)
     estimated = move @ estimate.covariance @ move.T
     covariance = scipy.linalg.block_diag(base.covariance[np.ix_(kept, kept)], estimated)
     values = np.append([base.parameters[i].value for i in kept], move @ estimate.values)
 
-    # Eq. (2)
+    # Eq. (2), and what the g-sensitivity adds to the biases of gyros; by group of unit usual size, their change
     by_scale, block = np.eye(len(values)), observations.accel_block
+    is_bias = np.array([group_name(name) == "gyro.bias" for name in new], dtype=bool)
+    unseen = {"gyro.g_sensitivity": observations.site.gravity * is_bias}
     force = dict(zip(block.sensors, observations.rests.accel.mean(axis=0)[block.channels], strict=True))
     for power in OVER_TEMPERATURE if one_direction(observations.rests.accel) else ():
-        u_by_scale, size = np.zeros(len(new)), observations.usual.get(f"accel.scale.{power}", 0.0)
+        unseen[f"accel.scale.{power}"] = np.zeros(len(new))
         for sensor, f in force.items():
             name, scale = f"accel.bias.{sensor}.{power}", f"accel.scale.{sensor}.{power}"
             if scale in kept_names:
                 by_scale[first + new.index(name), kept_names.index(scale)] = -f
             elif name in new:
-                u_by_scale[new.index(name)] = size * f
-        budget = budget.with_source(source(f"prior.accel.scale.{power}", size, "1/K"), np.diag(u_by_scale**2))
-        covariance[first:, first:] += np.diag(u_by_scale**2)
+                unseen[f"accel.scale.{power}"][new.index(name)] = f
+    for group, change in unseen.items():
+        size = observations.usual.get(group, 0.0)
+        part = np.diag((size * change) ** 2)
+        unit = "1/K" if group.startswith("accel") else "rad*s/m"
+        budget = budget.with_source(source(f"prior.{group}", size, unit), part)
+        covariance[first:, first:] += part
     covariance, values = by_scale @ covariance @ by_scale.T, by_scale @ values
     lines = {line.name: line for line in base.evidence.budget}
     for line in contributions_of(budget, new, observations.size_basis):
         before = lines.get(line.name, line)
         lines[line.name] = replace(before, contributions={**before.contributions, **line.contributions})
-    if not has_reference:  # it may be any of the recorded temperatures
-        kelvin = _kelvin(observations)
-        moves = [to_temperature(names, float(d)) for d in (kelvin - kelvin.mean(axis=0)).mean(axis=1)]
-        changes = np.array([(move - np.eye(len(names))) @ values for move in moves])
-        over_span = np.cov(changes, rowvar=False)[:first, :first]
-        covariance[:first, :first] += over_span
-        lines["temperature"] = SourceContributions(
-            name="temperature",
-            words="temperature of the calibration",
-            type="B",
-            contributions={
-                n: float(u) for n, u in zip(kept_names, np.sqrt(np.diag(over_span)), strict=True) if u > 0.0
-            },
-        )
 
     all_degrees = np.full(len(estimate.names), np.inf) if estimate.degrees is None else estimate.degrees
     degrees = degrees_through(move, estimate.u, all_degrees.tolist())
     lag_sources = [i for i, each in enumerate(budget.sources) if each.name == "lag"]
     by_lag = np.diagonal(budget.covariances[lag_sources], axis1=1, axis2=2).sum(axis=0).tolist()
-    u = np.sqrt(np.diag(covariance)).tolist()
+    u = np.sqrt(np.diag(covariance))
     sizes = {group.name: group.prior * group.prior_widened for group in estimate.groups}
-    parameters = [replace(base.parameters[i], u=u[j]) for j, i in enumerate(kept)]
+    priors = [sizes.get(group_name(name)) for name in new]
+    dof = list[float | None]()
     for j, name in enumerate(new):
-        variance, size, u_new = float(estimated[j, j]), sizes[group_name(name)], u[first + j]
+        variance = float(estimated[j, j])
         parts = (variance - by_lag[j], degrees[j]), (by_lag[j], _lag_degrees(estimate, sensor_kind(name)))
-        parameters.append(
-            Parameter(
-                name=name,
-                value=float(values[first + j]),
-                u=u_new,
-                unit=units_of([name])[0],
-                dof=welch_satterthwaite([*parts, (u_new**2 - variance, None)]),
-                prior=size,
-                learned=learned_fraction(u_new, size),
-            )
-        )
+        dof.append(welch_satterthwaite([*parts, (u[first + j] ** 2 - variance, None)]))
+    parameters = [replace(base.parameters[i], u=float(u[j])) for j, i in enumerate(kept)]
+    parameters += parameters_of(new, values[first:], u[first:], dof=dof, prior=priors)
     order = {group.name: i for i, group in enumerate(groups())}
     ranked = sorted(range(len(names)), key=lambda i: order.get(group_name(names[i]), len(order)))
     shift = 1 + max((rest.file for rest in base.evidence.rests), default=-1)
@@ -342,7 +296,7 @@ def _with_coefficients(
             *(group for group in base.groups if group.name not in replaced),
             *(replace(group, kept=True) for group in estimate.groups if group.name in replaced),
         ),
-        temperature=replace(base.temperature, range=None) if has_reference else here,
+        temperature=replace(base.temperature, range=None),
         evidence=replace(base.evidence, rests=(*base.evidence.rests, *rests), budget=tuple(lines.values())),
     )
 
@@ -394,7 +348,7 @@ def _notes(estimate: Estimate, observations: Observations, base: Calibration | N
         )
 
 
-def _assumptions(observations: Observations, base: Calibration | None, doubts: Iterable[str]) -> Iterator[str]:
+def _assumptions(observations: Observations, doubts: Iterable[str]) -> Iterator[str]:
     yield from (f"doubt: {doubt}" for doubt in doubts)
     span = float(np.ptp(_kelvin(observations), axis=0).max())
     if span < WIDE:
@@ -402,10 +356,4 @@ def _assumptions(observations: Observations, base: Calibration | None, doubts: I
             f"the temperatures span {span:.1f} K, less than {WIDE:.0f}: curvatures have their usual sizes, and beyond "
             "these temperatures the result is hardly valid",
             "warm or cool the device through those of its use",
-        )
-    if base is not None and base.reference_temperature is None:
-        yield Advised(
-            f"the calibration of {base.serial} does not state its temperature: any of this recording is assumed, "
-            "which is in u of its biases",
-            "calibrate a recording with its thermometer",
         )

@@ -7,6 +7,7 @@ launches, the mean increments of the iterations, and the difference of the metho
 from __future__ import annotations
 
 import math
+import re
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -37,7 +38,7 @@ from tumble.result.further import (
     verdicts,
 )
 from tumble.result.parts import Parameter
-from tumble.run.calibrate import ITERATED_METHODS, UNSTATED
+from tumble.run.calibrate import ITERATED_METHODS
 from tumble.sensors.parameters import group_name, named_group, shown_in, within_group
 from tumble.units import Array, engineering
 from tumble.views.blocks import Block, Items, Table, table
@@ -181,7 +182,7 @@ def calibration_blocks(
         )
     lines += notes_without_expanded(parameters)
     if minor := _minor_assumptions(calibration):
-        lines.append(f"smaller parts of u: {'; '.join(minor)}")
+        lines.append(f"smaller parts of u: {'; '.join(re.split('[:,] ', each)[0] for each in minor)}")
     if accepted_kinds(calibration):
         name, others_of_kind = _export_target(calibration, log)
         to = f"{name} -o imu{target(name).ending} ({others_of_kind}others: --help)"
@@ -225,16 +226,16 @@ def remarks_of(calibration: Calibration) -> tuple[str, ...]:
 
 
 def _minor_assumptions(calibration: Calibration) -> list[str]:
-    """Return what is not stated, in short, where stating it would reduce no u by more than 1 − 1/√2.
+    """Return the assumptions for what is not stated where stating it would reduce no u by more than 1 − 1/√2.
 
     Its source then contributes at most half of u² of every parameter, and nothing needs to be done."""
     if not calibration.evidence.budget or not accepted_kinds(calibration):
         return []
     minor, contributions = list[str](), {line.name: line.contributions for line in calibration.evidence.budget}
-    for beginning, source in UNSTATED.items():
+    for sentence, source in calibration.provenance.unstated.items():
         parts = contributions.get(source, {})
         if all(2.0 * parts.get(p.name, 0.0) ** 2 <= (p.u or 0.0) ** 2 for p in calibration.parameters):
-            minor += [beginning for each in calibration.provenance.assumptions if each.startswith(beginning)]
+            minor.append(sentence)
     return minor
 
 
@@ -242,8 +243,8 @@ def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
     """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, and a line on the others.
 
     Turns that were left out are in u, so they come after doubts and unexplained residuals and before assumptions."""
-    minor = tuple(_minor_assumptions(calibration))
-    remarks = [each for each in remarks_of(calibration) if not minor or not each.startswith(minor)]
+    minor = _minor_assumptions(calibration)
+    remarks = [each for each in remarks_of(calibration) if each not in minor]
     notes, shown = calibration.provenance.notes, list[str]()
     if lost := [note for note in notes if note.startswith("turn ") and " is left out" in note]:
         place = len(calibration.provenance.doubts) + len(calibration.outcome.remarks)

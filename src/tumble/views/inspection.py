@@ -47,13 +47,12 @@ def inspection_blocks(observed: Observed) -> list[Block]:
 
 
 def gyro_blocks(gyro_rests: GyroRests) -> list[Block]:
-    """Return the rests of a log of gyros alone, with their means and the angle of the turn after each."""
+    """Return the rests of a log of gyros alone, with their means."""
     rows = []
     for i, rest in enumerate(gyro_rests.segmentation.rests):
         means = {f"{axis} °/s": f"{value / DEGREE:z.4f}" for axis, value in zip("xyz", gyro_rests.mean[i], strict=True)}
-        turned = f"{gyro_rests.turned[i] / DEGREE:.0f}" if i < len(gyro_rests.turned) else ""
         times = {"rest": str(i + 1), "from s": f"{rest.start:z.1f}", "to s": f"{rest.stop:z.1f}"}
-        rows.append(times | means | {"then turned by °": turned})
+        rows.append(times | means)
     unit = "; their unit is not known, so that the numbers are not °/s: state --gyro-unit"
     return [
         "gyros alone: rests by the level of the gyros" + ("" if gyro_rests.session.log.accel.scale_stated else unit),

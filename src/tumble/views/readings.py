@@ -6,6 +6,7 @@ import numpy as np
 
 from tumble.result.further import linear_parameters, prediction_text
 from tumble.run.from_readings import ReadingsCalibration, paper_form
+from tumble.run.readings_table import unit_of_scale
 from tumble.units import engineering
 from tumble.views.blocks import Block, Items, Table, table
 from tumble.views.calibration import group_table, parameter_table
@@ -52,12 +53,11 @@ def readings_blocks(result: ReadingsCalibration) -> list[Block]:
 
 
 def _paper_table(result: ReadingsCalibration) -> Table:
-    form, nominal = paper_form(result), result.nominal
-    u = np.zeros(9) if form.covariance is None else np.sqrt(np.diag(form.covariance))
-    values, rows = ((form.k, u[:3], 1.0), (form.theta, u[3:6], 1e-5), (form.b, u[6:], 1e-5)), []
+    (form, covariance), channels, rows = paper_form(result), result.channels, []
+    u = np.zeros(9) if covariance is None else np.sqrt(np.diag(covariance))
     for i, axis in enumerate("xyz"):
-        shown = [cells(float(value[i]), float(of_value[i]), size) for value, of_value, size in values]
-        has_u = form.covariance is not None
-        rows.append((axis, *(cell for value, each in shown for cell in (value, each if has_u else ""))))
-    headings = (f"k {nominal.unit}/{nominal.per}", "θ 1e-5 rad", f"b 1e-5 {nominal.per}")
+        shown = [cells(float(form[j]), float(u[j]), size) for j, size in ((i, 1.0), (3 + i, 1e-5), (6 + i, 1e-5))]
+        rows.append((axis, *(cell for value, each in shown for cell in (value, "" if covariance is None else each))))
+    per = unit_of_scale(channels)
+    headings = (f"k {channels.unit_name}/{per}", "θ 1e-5 rad", f"b 1e-5 {per}")
     return Table(columns=("axis", *(cell for name in headings for cell in (name, "u (k=1)"))), rows=tuple(rows))
