@@ -48,7 +48,7 @@ class Spread:
     axis: float
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
 class Spreads:
     """Standard deviations of the parameters of both kinds of sensors."""
 
