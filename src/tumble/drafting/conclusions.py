@@ -44,7 +44,7 @@ def complete_draft(draft: Draft, progress: Progress) -> list[str]:
             log |= {"clock_ppm_u": round(1e6 * min(rate_u, 1.0))} if rate_u > USUAL_RATE_U else {}
         log[GYRO] = _gyro_table(draft, best, best.gyro, evidence, rivals)
     of_gravity = _doubts_of_gravity(draft, best, evidence)
-    of_units = list(_doubts_of_units(draft, best, rivals))
+    of_units = [*_doubts_of_units(draft, best, rivals), *_doubts_of_scale(best, evidence)]
     of_log = (*of_gravity, *(doubt for kind, doubt in of_units if not kind), *draft.doubts)
     log |= {"doubt": "; ".join(of_log)} if of_log else {}
     for kind, doubt in of_units:
@@ -61,12 +61,6 @@ def complete_draft(draft: Draft, progress: Progress) -> list[str]:
         return faults
     if best.profile.exchanged:
         faults = [f"the gyros carry the vertical from rest to rest only where {columns_text(best.profile.exchange)}"]
-    if not (best.gyro.listed or best.accel.unit is None or evidence.whole[GYRO]):
-        written = f"; column {best.times.keys['time']!r} is taken as it is written" if best.times.stamped else ""
-        faults.append(
-            f"the gyros carry the vertical only with {best.gyro.value:.4g} numbers per deg/s, as in no unit and on no "
-            f"data sheet{written}: is their unit right?"
-        )
     return faults
 
 
@@ -105,6 +99,19 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> It
                 f"{finding}: if they are volts, state --accel-unit V; what a filter has left without gravity cannot be "
                 "calibrated"
             )
+
+
+def _doubts_of_scale(best: Hypothesis, evidence: Evidence) -> Iterator[tuple[str, str]]:
+    """Yield the doubt about gyros whose turns give a scale of no unit and no data sheet, although they are no counts."""
+    gyro = best.gyro
+    if best.profile is None or gyro is None or gyro.listed or best.accel.unit is None or evidence.whole[GYRO]:
+        return
+    written = f"; column {best.times.keys['time']!r} is taken as it is written" if best.times.stamped else ""
+    yield (
+        "",
+        f"the gyros carry the vertical only with {gyro.value:.4g} numbers per deg/s, as in no unit and on no data "
+        f"sheet{written}: is their unit right? Biases and scale factors are relative to this scale",
+    )
 
 
 def _doubts_of_units(draft: Draft, best: Hypothesis, rivals: Sequence[Hypothesis]) -> Iterator[tuple[str, str]]:
@@ -212,7 +219,7 @@ def _accel_table(draft: Draft, best: Hypothesis, evidence: Evidence) -> dict[str
     at_zero = f", zero at {zero}" if zero or scale.unit is None else ""
     nominal = f"V: {length:.4g} V per g found" if unit == "V" else _scale_remark(ACCEL, scale, evidence, best)
     draft.say(f"{subject} in {nominal}{at_zero} ({how})")
-    if scale.unit is not None and not zero:
+    if scale.unit is not None and not (zero and evidence.whole[ACCEL]):  # in a unit, a zero is a bias
         return {"columns": columns, "unit": scale.unit}
     raw = "V" if unit == "V" else "count"
     return _raw_table(columns, scale.value if scale.listed else float(f"{length:.4g}"), "g", zero, raw)
