@@ -34,6 +34,7 @@ from tumble.units import DEGREE, GYRO_UNITS, TIME_UNITS, Array
 
 MEDIAN_MISS = 0.25  # rad: nominal gyros miss the vertical by less at the median, unless unit, sign or column are wrong
 LARGEST_MISS = 0.5  # rad: in a half turn, more than bias, scale and axis errors of 5 % cause
+LOST_TURNS = 0.25  # largest share of turns that are left out for it; more are a fault of the gyros
 SMALL_SCALE_ERROR = 0.1  # that calibration removes
 FASTEST_TURN = 10.0  # rad/s: by hand or on a table
 LOG_RATES, SHORTEST_LOG = (0.5, 20_000.0), 2.0  # Hz and s, of a plausible log
@@ -42,21 +43,25 @@ UPRIGHT = 20.0 * DEGREE  # largest angle between a rest and its position of the 
 _SIGN = "an accelerometer at rest with its axis up must read +g"
 
 
-def vertical_faults(observations: Observations, session: Session, rate: float, g_sensitivity: float) -> list[str]:
+def vertical_faults(
+    observations: Observations, session: Session, rate: float, g_sensitivity: float
+) -> tuple[list[str], dict[int, str]]:
     """Return why nominal gyros do not carry the vertical from rest to rest, or why up is down: the most likely causes.
 
-    `rate` is in samples per second, `g_sensitivity` the usual one of the gyros, rad·s/m."""
+    `rate` is in samples per second, `g_sensitivity` the usual one of the gyros, rad·s/m. Also returned
+    are single turns that lose the vertical: for the rest before each, from 0, the reason to leave the turn out."""
     turns, block, channels = observations.turns, observations.gyro_block, session.log.gyro
     if turns is None or block is None or channels is None or len(turns) == 0:
-        return upside_down(observations, session, g_sensitivity)
+        return upside_down(observations, session, g_sensitivity), {}
     stated = SensorModel(matrix=block.nominal().matrix, bias=np.median(observations.rests.gyro, axis=0))
     force = observations.accel_block.nominal().apply(observations.rests.accel)
     vertical = unit_vector(force)
     miss = _missed_angles(observations, stated, vertical)
     if miss.max() < LARGEST_MISS:
         if (largest := float(np.abs(stated.bias).max())) > BIAS_LIMIT:
-            return [f"the gyros read {largest:.3g} rad/s at rest, as no gyro does: the offset of [log.gyro] is wrong"]
-        return upside_down(observations, session, g_sensitivity)
+            offset = f"the gyros read {largest:.3g} rad/s at rest, as no gyro does: the offset of [log.gyro] is wrong"
+            return [offset], {}
+        return upside_down(observations, session, g_sensitivity), {}
     # an accelerometer bias of half a g moves a vertical by 30°; if this explains the angles, verticals are taken about
     # the centre of all readings
     about_centre = rough_directions(force)
@@ -78,35 +83,26 @@ def vertical_faults(observations: Observations, session: Session, rate: float, g
         others += _columns_of_other_scales(tilting, block.axes, channels) if block.triad else ()
         cost, text = min(others, key=lambda other: other[0])
         if cost < stated_cost:
-            return [f"{missed}{text}"]
+            return [f"{missed}{text}"], {}
     if channels.raw and np.all(channels.scale == 1.0):
-        return [
-            Advised(
-                f"{missed}: log.gyro.scale is 1, as if the numbers were no raw ones",
-                "write the counts per deg/s of the data sheet (16.4, 32.8, 65.5, 131 …), or let `tumble new` find "
-                "them from the turns",
-            )
-        ]
+        as_raw = Advised(
+            f"{missed}: log.gyro.scale is 1, as if the numbers were no raw ones",
+            "write the counts per deg/s of the data sheet (16.4, 32.8, 65.5, 131 …), or let `tumble new` find them "
+            "from the turns",
+        )
+        return [as_raw], {}
     miss = _missed_angles(observations, SensorModel(matrix=scale * stated.matrix, bias=stated.bias), vertical)
     turned = np.array([float(np.linalg.norm(of_samples, axis=1).sum()) for of_samples in angles])
     plausible = np.median(turned / turns.duration) < FASTEST_TURN
     per_half_turn = miss / np.maximum(1.0, turned / np.pi if plausible else 0.0)
-    if np.median(per_half_turn) < MEDIAN_MISS:
-        return [
-            Advised(
-                f"the gyros lose the vertical in {observations.turn_named(int(k))}: they miss it by "
-                f"{miss[k] / DEGREE:.0f}°",
-                "look there for damaged or lost samples, or leave it out: [[exclude]] turn = "
-                f"{int(turns.first[k]) + 1}",
-            )
-            for k in np.flatnonzero(per_half_turn >= LARGEST_MISS)
-        ] or upside_down(observations, session, g_sensitivity)
-    return [
-        Advised(
-            f"{missed}, and no other unit, scale, sign or order of columns explains it",
-            "check the columns, the unit and [log.gyro] axes",
+    lost = np.flatnonzero(per_half_turn >= LARGEST_MISS)
+    if np.median(per_half_turn) < MEDIAN_MISS and len(lost) <= LOST_TURNS * len(miss):
+        words = (f"the gyros miss the vertical after it by {miss[k] / DEGREE:.0f}°" for k in lost)
+        return upside_down(observations, session, g_sensitivity), dict(
+            zip(turns.first[lost].tolist(), words, strict=True)
         )
-    ]
+    unknown = f"{missed}, and no other unit, scale, sign or order of columns explains it"
+    return [Advised(unknown, "check the columns, the unit and [log.gyro] axes")], {}
 
 
 def _angles_of_samples(observations: Observations, bias: Array) -> list[Array]:

@@ -102,7 +102,7 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> It
 
 
 def _doubts_of_scale(best: Hypothesis, evidence: Evidence) -> Iterator[tuple[str, str]]:
-    """Yield the doubt about gyros whose turns give a scale of no unit and no data sheet, although they are no counts."""
+    """Yield the doubt about gyros, not in counts, whose turns give a scale of no unit and no data sheet."""
     gyro = best.gyro
     if best.profile is None or gyro is None or gyro.listed or best.accel.unit is None or evidence.whole[GYRO]:
         return

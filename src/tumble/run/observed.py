@@ -40,7 +40,7 @@ from tumble.reduction.observations import Observations, hold_attitude, observe, 
 from tumble.reduction.rests.blemishes import without_blemishes
 from tumble.reduction.rests.matching import match_rests, without_jump, without_numbered, without_times
 from tumble.reduction.rests.rests import thermometers_of
-from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests
+from tumble.reduction.rests.segmentation import Segmentation, Stretch, find_rests, gap_between
 from tumble.reduction.turns.links import links_of
 from tumble.reduction.turns.turns import clipping_limits, torn_turns, without_ambiguous_turns
 from tumble.rotation import onto_body
@@ -190,13 +190,18 @@ def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
     gyro_faults = list[str]()
     if trial is not None and not faults:
         by_grade = usual_sizes(grade_of(session, trial)[0], session.device.prior)
-        faults = vertical_faults(trial, session, reduction.rate, by_grade["gyro.g_sensitivity"])
+        faults, lost = vertical_faults(trial, session, reduction.rate, by_grade["gyro.g_sensitivity"])
+        if lost and trial is observations:
+            rests = segmentation.rests
+            gaps = [gap_between(rests[i], rests[i + 1], 1, "no rotation", why) for i, why in lost.items()]
+            reduction = replace(reduction, gaps=(*reduction.gaps, *gaps))
+            observations = _observed(session, reduction, segmentation.rests)
         if faults or rejected:
             gyro_faults = [*high_passed(reduction, segmentation.rests)]
             if rejected and not faults:
                 gyro_faults = gyro_faults or [rejected]
         if gyro_faults:
-            faults = vertical_faults(trial.of_accelerometers(), session, reduction.rate, 0.0)
+            faults, _ = vertical_faults(trial.of_accelerometers(), session, reduction.rate, 0.0)
     if session.log.gyro is not None and not faults and not gyro_faults:
         gyro_faults = [*dead_zones(reduction, segmentation.rests, session.log.gyro)]
     return Observed(
