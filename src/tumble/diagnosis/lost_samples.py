@@ -30,6 +30,7 @@ from tumble.units import Array
 
 FEWEST_HELD = 3  # samples
 JITTER_SIGMAS = 3.0  # standard deviations of a covariance between intervals that show jitter
+ADDED_UP = 1.5  # deviation of time stamps from even ones over that of single intervals that shows measured intervals
 SMALLEST_JITTER = 3e-3  # in intervals: jitter of time stamps that has no visible effect on turns
 
 
@@ -38,12 +39,9 @@ def jitter_hint(observations: Observations) -> str:
 
     Intervals between such stamps have the covariance −σ² from one to the next, or over several intervals if the stamps
     are those of bursts. Lost samples, or a varying rate, have no such covariance."""
-    samples = observations.turn_samples
-    if samples is None or not len(samples.start):
+    intervals = _intervals(observations)
+    if not intervals:
         return ""
-    intervals = [
-        samples.samples.read(a, b)[2] for a, b in zip(samples.start.tolist(), samples.stop.tolist(), strict=True)
-    ]
     interval = float(np.median(np.concatenate(intervals)))
     off = [np.where(np.abs(dt - interval) < 0.5 * interval, dt - interval, 0.0) for dt in intervals]
     for burst in 2 ** np.arange(7):
@@ -55,6 +53,31 @@ def jitter_hint(observations: Observations) -> str:
                 return f"; or the time stamps jitter by {1e3 * jitter:.2g} ms: {REGULAR_HINT}"
             break
     return ""
+
+
+def are_measured_intervals(observations: Observations) -> bool:
+    """Return True if the time stamps follow intervals that vary, so that lost samples would show as gaps.
+
+    The deviations of such stamps from even ones add up, to far more than that of a single interval; stamps that are
+    counted, rounded, or jitter about even rows deviate by less."""
+    single, added = [np.zeros(0)], [np.zeros(0)]
+    for intervals in _intervals(observations):
+        if len(intervals) > 2:
+            count, time = np.arange(len(intervals)), np.cumsum(intervals)
+            single.append(intervals / intervals.mean() - 1.0)
+            added.append((time - np.polyval(np.polyfit(count, time, 1), count)) / intervals.mean())
+    if len(single) == 1:
+        return False
+    spread, together = (float(np.sqrt(np.mean(np.concatenate(each) ** 2))) for each in (single, added))
+    return together > ADDED_UP * max(spread, SMALLEST_JITTER)
+
+
+def _intervals(observations: Observations) -> list[Array]:
+    """Return the intervals (m,), s, between the samples of each turn."""
+    turned = observations.turn_samples
+    if turned is None:
+        return []
+    return [turned.samples.read(a, b)[2] for a, b in zip(turned.start.tolist(), turned.stop.tolist(), strict=True)]
 
 
 def stamps_remedy(observations: Observations) -> str:

@@ -26,6 +26,7 @@ from tumble.diagnosis.causes import (
 )
 from tumble.diagnosis.findings import BIAS_UNITS, IN_U, SENSORS, TURN_GROUPS, Finding, refusal, remark, with_unit
 from tumble.diagnosis.lost_samples import (
+    are_measured_intervals,
     jitter_hint,
     lost_in_all_turns,
     lost_in_one_turn,
@@ -239,7 +240,7 @@ def _causes(session: LinearisedSession) -> list[list[Finding]]:
         lost = [cause for cause in causes if cause.cause == "lost samples"]
         held = samples_held(session.observed[s])
         scatters = linearised.components.turn > max(noise, NEGLIGIBLE_SCATTER["turn"])
-        if held is None and session.has_turns[s] and scatters:
+        if held is None and session.has_turns[s] and scatters and not are_measured_intervals(session.observed[s]):
             lost.append(lost_in_all_turns(session, s, with_scatter))
         likely = held or min(lost, key=by_p_value, default=None)
         causes[:] = [cause for cause in causes if cause not in lost] + ([likely] if likely is not None else [])
