@@ -648,6 +648,17 @@ def test_a_channel_stuck_for_several_seconds_is_named(
     assert f"up to {stop:.2f} s" in said
 
 
+def test_a_log_that_hung_is_used_without_the_rows_it_held(hand: Recording, tmp_path: Path) -> None:
+    """All channels repeat for 1.6 s in a rest, and for as long in a turn: no channel is stuck."""
+    hung = hand
+    for first in (1000, 2490):
+        for column in (*ACCEL, *GYRO):
+            hung = hung.changed(column, slice(first, first + 80), lambda values: values[0])
+    result = calibrate(hung.write(tmp_path / "session"))
+    assert result.exit_code == 0, result.output
+    assert "stuck" not in result.output
+
+
 def test_a_channel_that_died_on_the_way_is_named(recording: Recording, tmp_path: Path) -> None:
     """More than half of the samples then equal the one before."""
     rows = slice(int(0.4 * recording.log.height), None)

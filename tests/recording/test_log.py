@@ -19,7 +19,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tumble.errors import LogError
+from tumble.errors import InputError, LogError
 from tumble.recording import readers
 from tumble.recording.log import Chunk, Log, open_log
 from tumble.recording.rows import gaps as bridging
@@ -31,6 +31,7 @@ from tumble.recording.text import pieces as text_pieces
 from tumble.recording.text.dialect import Dialect
 from tumble.recording.text.text_log import TextLog
 from tumble.reduction.blocks.reducer import reduce_log
+from tumble.run.observed import inspect_session
 from tumble.units import Array
 
 if sys.version_info >= (3, 14):
@@ -1097,3 +1098,24 @@ def test_recording_of_increments_reads(data: Path, tmp_path: Path) -> None:
     rest = np.average(last, axis=0, weights=samples["dt"][-2000:])
     assert np.linalg.norm(rest) == pytest.approx(9.797, abs=3e-3)
     assert log.gaps == ()
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ('delimiter = ";"', "expected rows of numbers with log.delimiter"),
+        ('decimal = ","', "expected"),
+        ('encoding = "utf-16"', "expected text in utf-16"),
+    ],
+)
+def test_a_stated_dialect_that_is_not_that_of_the_log_is_refused(tmp_path: Path, keys: str, said: str) -> None:
+    rows = "\n".join(f"{0.01 * i:.2f},0.1,0.2,9.8,0.001,0.002,0.003" for i in range(300))
+    (tmp_path / "log.csv").write_text(f"t,ax,ay,az,gx,gy,gz\n{rows}\n")
+    sensors = "".join(
+        f'[log.{kind}]\ncolumns = ["{kind[0]}x", "{kind[0]}y", "{kind[0]}z"]\nunit = "{unit}"\n'
+        for kind, unit in (("accel", "m/s^2"), ("gyro", "rad/s"))
+    )
+    head = f'format = 1\n[device]\nserial = "A"\n[log]\nfile = "log.csv"\ntime = "t"\n{keys}\n'
+    (tmp_path / "session.toml").write_text(head + sensors)
+    with pytest.raises(InputError, match=said):
+        inspect_session(tmp_path)

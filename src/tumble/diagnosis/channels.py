@@ -164,13 +164,16 @@ class ChannelFault:
 
 
 def channel_faults(reduction: Reduction, log: LogSpec) -> tuple[list[ChannelFault], list[ChannelFault]]:
-    """Return the accelerometers and the gyros that are dead, stuck, clipped or damaged."""
+    """Return the accelerometers and the gyros that are dead, stuck, clipped or damaged.
+
+    A channel is not stuck where all are: then the log held its last row, which is a gap (`Reduction.held_runs`)."""
     accel, gyros = block_means(reduction)
-    of_accel = list(_faults_of_kind(reduction.accel_channels, accel, log.accel, reduction.rate, "use a larger range"))
+    rate, held = reduction.rate, [gap.stop for gap in reduction.held_runs if gap.stop is not None]
+    of_accel = list(_faults_of_kind(reduction.accel_channels, accel, log.accel, rate, "use a larger range", held))
     if log.gyro is None:
         return of_accel, []
     advice = "use a larger range or turn more slowly"
-    return of_accel, list(_faults_of_kind(reduction.gyro_channels, gyros, log.gyro, reduction.rate, advice))
+    return of_accel, list(_faults_of_kind(reduction.gyro_channels, gyros, log.gyro, rate, advice, held))
 
 
 def block_means(reduction: Reduction) -> tuple[Array, Array]:
@@ -180,9 +183,15 @@ def block_means(reduction: Reduction) -> tuple[Array, Array]:
 
 
 def _faults_of_kind(
-    states: tuple[ChannelState, ...], means: Array, channels: Channels, rate: float, advice: str
+    states: tuple[ChannelState, ...],
+    means: Array,
+    channels: Channels,
+    rate: float,
+    advice: str,
+    held: Sequence[float],
 ) -> Iterator[ChannelFault]:
-    """Yield the faults of the channels of one kind of sensor; `means` (K, n) are those of blocks, SI."""
+    """Yield the faults of the channels of one kind of sensor; `means` (K, n) are those of blocks, SI, and `held` the
+    ends, s, of runs of rows that the log held."""
 
     def logged(value: float, sensor: int) -> str:
         """Return a reading (SI) as in the log."""
@@ -203,6 +212,8 @@ def _faults_of_kind(
         elif clipped := _clipped(state, means[:, i], channels.range):
             sentence = Advised(f"column {column!r} is clipped: {clipped}, up to {state.extreme_stop:.2f} s", advice)
             yield ChannelFault(sensor=i, sentence=sentence, clipped=True)
+        elif any(abs(state.run_stop - stop) < 2.5 / rate for stop in held):
+            continue
         elif state.run >= rate and _is_fault(state, state.run, state.run):
             stuck = f"{state.run} samples in a row are {logged(state.run_value, i)}, up to {state.run_stop:.2f} s"
             yield ChannelFault(sensor=i, sentence=f"column {column!r} is stuck: {stuck}")
@@ -290,7 +301,7 @@ def _scale_or_offset(force: Array, magnitude: float, channels: Channels, g: floa
 
 def scale_error(ratio: float) -> str:
     """Return the error of a nominal scale whose readings are `ratio` times too large."""
-    return f"{ratio:.3g} times too small" if ratio > 1.0 else f"{1.0 / ratio:.3g} times too large"
+    return f"{ratio:.3g} times too small" if ratio > 1.0 else f"{1.0 / max(ratio, 1e-300):.3g} times too large"
 
 
 def like_gravity(force: Array) -> bool:

@@ -37,6 +37,8 @@ def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tupl
 
     A session that is made here is removed if the block fails. Raises InputError for a log that cannot be read."""
     log = log if log.name else log.resolve()
+    if not log.name:
+        raise InputError(f"{log}: expected a log or a folder of logs, found the root of the file system")
     stem = re.sub(r"[*?\[\]]", "", log.name)
     for ending in (".gz", ".zst"):
         stem = stem.removesuffix(ending)

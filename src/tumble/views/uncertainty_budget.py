@@ -31,7 +31,7 @@ def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Bloc
     parameters.
 
     Empty without a budget."""
-    if not calibration.evidence.budget:
+    if not (calibration.evidence.budget and calibration.parameters):
         return []
     blocks: list[Block] = [share_table(calibration)]
     blocks += [DEGREES_OF_MEAN] if calibration.evidence.launches else []

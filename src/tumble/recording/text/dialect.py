@@ -112,7 +112,7 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
             del rows[0]
     data_rows = [(i, width) for i, width in rows.items() if not dialect.is_comment(lines[i])]
     following = [width for _, width in data_rows[1:]] + [None]
-    first = next((i for (i, width), after in zip(data_rows, following, strict=True) if after in (None, width)), None)
+    first = next((i for (i, width), after in zip(data_rows, following, strict=False) if after in (None, width)), None)
     if first is None:
         return None
     width = Counter(width for i, width in rows.items() if i >= first).most_common(1)[0][0]

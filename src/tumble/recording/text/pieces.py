@@ -10,7 +10,7 @@ import gzip
 import io
 import sys
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -53,20 +53,28 @@ def opened(path: Path, encoding: str = "utf-8") -> io.BufferedIOBase:
         stream = io.BufferedReader(_Limited(zstd.ZstdFile(path), zstd.ZstdError, path))
     else:
         stream = path.open("rb")
-    return stream if encoding == "utf-8" else _Recoded(stream, encoding)
+    return stream if encoding == "utf-8" else _Recoded(stream, encoding, path)
 
 
 class _Recoded(io.BufferedIOBase):
     """A stream in another encoding, converted to UTF-8."""
 
-    def __init__(self, stream: io.BufferedIOBase, encoding: str) -> None:
+    def __init__(self, stream: io.BufferedIOBase, encoding: str, path: Path) -> None:
+        self._path = path
         self._text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="\n")  # type: ignore[type-var]  # readable
 
     def read(self, size: int | None = -1, /) -> bytes:
-        return self._text.read(size).encode("utf-8", errors="replace")
+        return self._encoded(self._text.read, size)
 
     def readline(self, size: int | None = -1, /) -> bytes:
-        return self._text.readline(-1 if size is None else size).encode("utf-8", errors="replace")
+        return self._encoded(self._text.readline, -1 if size is None else size)
+
+    def _encoded(self, read: Callable[[int | None], str], size: int | None) -> bytes:
+        try:
+            return read(size).encode("utf-8", errors="replace")
+        except UnicodeError as error:
+            expected = f"expected text in {self._text.encoding}, as [log] encoding says"
+            raise LogError(f"{self._path}: {expected}, found other bytes ({error})") from None
 
     def close(self) -> None:
         self._text.close()
