@@ -971,3 +971,12 @@ def test_a_recording_is_accepted_again_once_the_named_fault_is_put_right(hand: R
     right = wrong.exchanging("gx", "gy").times(["az"], -1.0)
     accepted(right, tmp_path / "session-3")
     assert said[0].startswith("the gyros do not carry the vertical from rest to rest")
+
+
+def test_an_excluded_file_that_the_log_does_not_have_is_refused(hand: Recording, tmp_path: Path) -> None:
+    folder = hand.write(tmp_path / "session")
+    with (folder / "session.toml").open("a") as session:
+        session.write("\n[[exclude]]\nfile = 3\nstart = 1.0\nstop = 2.0\n")
+    result = calibrate(folder)
+    assert result.exit_code == 2
+    assert "exclude.file: expected a file from 1 to 1, found 3" in result.output

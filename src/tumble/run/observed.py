@@ -27,6 +27,7 @@ from tumble.diagnosis.channels import (
     normalised,
 )
 from tumble.diagnosis.verdict import no_rests
+from tumble.errors import SessionError
 from tumble.files import FilePath
 from tumble.inference.estimate import Judgement, Outcome
 from tumble.inference.hyperparameters import size_factors
@@ -168,6 +169,9 @@ def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
                     "why cannot be told: look at the rests with `tumble inspect`"
                 )
         faults = faults or [*normalised(reduction, segmentation.rests, onto_body(accel_block.axes))]
+        files = len(reduction.files)
+        for number in (each.file for each in session.excluded if (each.file or 1) > files):
+            raise SessionError(f"session.toml: exclude.file: expected a file from 1 to {files}, found {number}")
         segmentation = without_times(reduction, segmentation, session.excluded)
         segmentation = replace(segmentation, stated_rate=session.log.rate)
         if session.gyro_block is not None and session.log.gyro is not None:
