@@ -210,7 +210,7 @@ def calibrate(
     if not by_choice:
         return extended(calibration, notes=[note])
     sentence = f"accepted only without what was left out, and u does not include the effect of this choice; {note}"
-    return extended(calibration, [remark(sentence, *by_choice)])
+    return extended(calibration, [remark(sentence, concerns=by_choice)])
 
 
 def _calibrated(session: Session, options: Options, progress: Progress) -> Calibration:
@@ -282,9 +282,9 @@ def _with_remarks(
     findings = list(map(remark, unused_quiet_time(segmentation, in_motion=used.links is not None)))
     if estimate.gyro is not None and not log.increments["gyro"]:
         usual = grade_named(grade_of(session, used)[0]).gyro.scale
-        findings += [remark(sentence, "gyro.scale") for sentence in doubtful_time_base(estimate, usual)]
+        findings += [remark(sentence, concerns=("gyro.scale",)) for sentence in doubtful_time_base(estimate, usual)]
     lost = () if session.gyro_block is None or estimate.gyro is not None else session.gyro_block.names
-    refusals = [refusal(fault, "gyro" if lost else "gyro.bias") for fault in faults]
+    refusals = [refusal(fault, concerns=("gyro" if lost else "gyro.bias",)) for fault in faults]
     calibration = extended(
         calibration,
         [*findings, *refusals],
