@@ -210,7 +210,7 @@ def calibrate(
     if not by_choice:
         return extended(calibration, notes=[note])
     sentence = f"accepted only without what was left out, and u does not include the effect of this choice; {note}"
-    return extended(calibration, [remark(sentence, concerns=by_choice)])
+    return extended(calibration, [remark(sentence, concerns=tuple(by_choice))])
 
 
 def _calibrated(session: Session, options: Options, progress: Progress) -> Calibration:
