@@ -22,7 +22,7 @@ from tumble.brief import Brief
 from tumble.errors import LogError, TumbleError, did_you_mean
 from tumble.recording.log_source import LogSource, readable
 from tumble.recording.readers import TableLog, source_of
-from tumble.recording.rows.gaps import Bridge, Gap, Grid, seconds_of_stamps
+from tumble.recording.rows.gaps import Bridge, Gap, Grid, Tables, seconds_of_stamps, side_by_side
 from tumble.recording.rows.timed import TimedRows, burst_grid, check_head, regular_grid, rounded_grid
 from tumble.recording.session import LogSpec, Session
 from tumble.units import ZERO_CELSIUS, Array
@@ -110,7 +110,8 @@ class Log(Brief):
             raise ValueError(f"rows: expected at least 1, found {rows}")
         self._gaps.clear()
         for file, (source, grid) in enumerate(zip(self._sources, self._grids, strict=True)):
-            for chunk in samples_of_file(source, self.session.log, file, grid, self._gaps):
+            rows_of_file = rows_as_written(source, self.session.log)
+            for chunk in samples_of(rows_of_file, source, self.session.log, file, grid, self._gaps):
                 for start in range(0, len(chunk.time), rows):
                     yield chunk.part(slice(start, start + rows))
 
@@ -130,13 +131,23 @@ class Log(Brief):
         return digest.hexdigest()
 
 
-def samples_of_file(source: LogSource, spec: LogSpec, file: int, grid: Grid, gaps: list[Gap]) -> Iterator[Chunk]:
-    """Yield the samples of one file from its reader in SI, with gaps bridged or left out and added to `gaps`."""
+def rows_as_written(source: LogSource, spec: LogSpec) -> Tables:
+    """Yield the rows of a file with times as written, not numbered yet."""
+    for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):
+        yield side_by_side(table, spec.columns, before=2 if spec.time is None else 1), unread
+
+
+def samples_of(
+    tables: Tables, source: LogSource, spec: LogSpec, file: int, grid: Grid, gaps: list[Gap]
+) -> Iterator[Chunk]:
+    """Yield the samples of one file in SI from its rows as written, with gaps bridged or left out and added to `gaps`.
+
+    `source` has its path and columns, for messages."""
     bridge = Bridge(source=source, file=file, spec=spec, interval=grid.interval, gaps=gaps)
     timed = TimedRows(source=source, spec=spec, file=file, grid=grid, gaps=gaps)
     parts = [spec.accel, spec.gyro, spec.magnetometer, spec.temperature]
     ends = np.cumsum([0 if part is None else len(part.columns) for part in parts])
-    for time, dt_of_log, values in bridge.samples(timed.rows()):
+    for time, dt_of_log, values in bridge.samples(timed.rows(tables)):
         dt = dt_of_log if spec.clock_rate == 1.0 else spec.clock_rate * dt_of_log
         accel, gyro, magnetometer, temperature, _ = np.split(values, ends, axis=1)
         yield Chunk(

@@ -17,7 +17,7 @@ from threading import Lock
 
 COMMAND_LINE: ContextVar[bool] = ContextVar("COMMAND_LINE", default=False)
 """Whether the current thread runs a command."""
-PANIC_SECONDS = 0.5  # until threads that stop have printed
+PANIC_SECONDS = 1.0  # until threads that stop have printed
 _REDIRECTION = Lock()
 _STANDARD_ERROR = 2
 _PANIC_MARK = b" panicked at "

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing, suppress
-from dataclasses import dataclass, field
 from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 
 from tumble.recording.live.lines import Lines
 from tumble.recording.live.sources import Ended, LineSource
-from tumble.recording.log import Chunk, samples_of_file
-from tumble.recording.log_source import LogSource, Tables
-from tumble.recording.rows.gaps import Gap, Grid, is_reading
+from tumble.recording.log import Chunk, samples_of
+from tumble.recording.log_source import LogSource
+from tumble.recording.rows.gaps import Gap, Grid, Tables, is_reading
 from tumble.recording.session import LogSpec, Session, Site
 from tumble.recording.session_file import session_of
 from tumble.units import DEGREE, Array
@@ -35,20 +33,6 @@ TEMPERATURE = "temperature"
 """Name of the temperature column, °C, of a source in SI."""
 
 
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class _ComingRows(LogSource):
-    """A log whose rows arrive while it is read; its tables are empty while none have arrived."""
-
-    waiting: list[Array] = field(default_factory=list)
-
-    def read(self, columns: Sequence[str], clock: str | None) -> Tables:
-        del clock
-        while True:
-            rows = np.concatenate([np.empty((0, len(self.names))), *self.waiting])
-            self.waiting.clear()
-            yield pl.DataFrame(rows, schema=list(self.names), orient="row").select(columns), []
-
-
 class StreamedSamples:
     """Samples of the rows of one file of a log that arrive piece by piece.
 
@@ -59,7 +43,7 @@ class StreamedSamples:
     def __init__(self, spec: LogSpec, *, head: int = _HEAD, interval: float | None = None, file: int = 0) -> None:
         self.head, self.interval, self.gaps = head, interval, list[Gap]()
         self._spec, self._file = spec, file
-        self._coming = _ComingRows(path=Path("what is received"), names=spec.columns)
+        self._waiting = list[Array]()  # rows that have arrived since the last ones were taken
         self._samples: Iterator[Chunk] | None = None
 
     def feed(self, rows: Array) -> Chunk | None:
@@ -67,7 +51,7 @@ class StreamedSamples:
 
         Rows whose times can only be checked against the next rows are held back. Raises LogError if too many rows have
         wrong times, as after a restart of the clock."""
-        spec, waiting = self._spec, self._coming.waiting
+        spec, waiting = self._spec, self._waiting
         waiting.append(rows)
         if self._samples is None:
             head = np.concatenate(waiting)
@@ -83,9 +67,18 @@ class StreamedSamples:
                 start, steps = float(time[0]), np.diff(time)
                 self.interval = self.interval or float(steps.mean() if spec.regular else np.median(steps))
             grid = Grid(start=start, interval=self.interval)
-            self._samples = samples_of_file(self._coming, spec, self._file, grid, self.gaps)
+            received = LogSource(path=Path("what is received"), names=spec.columns)
+            self._samples = samples_of(self._tables(), received, spec, self._file, grid, self.gaps)
         chunk = next(self._samples, None)
         return chunk if chunk is not None and len(chunk.time) else None
+
+    def _tables(self) -> Tables:
+        """Yield the rows that have arrived; no rows while none have."""
+        before = 2 if self._spec.time is None else 1
+        while True:
+            rows = np.concatenate([np.empty((0, len(self._spec.columns))), *self._waiting])
+            self._waiting.clear()
+            yield np.asfortranarray(np.column_stack([np.zeros((len(rows), before)), rows])), ()
 
 
 class SampleStream:

@@ -42,6 +42,8 @@ REGULAR_HINT = (
 NUMBER, TIME, READINGS = 0, 1, slice(2, None)
 """Columns of the rows (m, 2 + n) of a file: number of the row, from 1, time, s, and the n readings as written, of
 accelerometers, gyros, magnetometer and thermometers."""
+Tables = Iterator[tuple[Array, Sequence[Unread]]]
+"""Rows of a file in order, table by table, with their unreadable parts."""
 _SHORTEST_LOG = 2.0  # s
 _LARGEST = math.nextafter(2.0**63, 0.0)
 """Largest number that can be a reading: the limits of integers of 64 bits stand for no value, and no sensor or clock
@@ -133,8 +135,9 @@ class Grid:
 
 
 def side_by_side(table: pl.DataFrame, columns: Sequence[str], before: int = 0) -> Array:
-    """Return columns of a table as an array (m, before + n) in column-major order, with empty columns before them."""
+    """Return columns of a table as an array (m, before + n) in column-major order, with zeros before them."""
     out = np.empty((before + len(columns), table.height))
+    out[:before] = 0.0
     for j, column in enumerate(columns, before):
         out[j] = table[column].to_numpy()
     return out.T
@@ -159,7 +162,7 @@ class Bridge:
     count: int = 0
     first: Gap | None = None
 
-    def samples(self, stream: Iterator[tuple[Array, Sequence[Unread]]]) -> Iterator[tuple[Array, Array, Array]]:
+    def samples(self, stream: Tables) -> Iterator[tuple[Array, Array, Array]]:
         """Yield times and intervals, s, and numbers of all samples, interpolated if lost."""
         behind, start = 0, 0.0
         for new, unread in stream:

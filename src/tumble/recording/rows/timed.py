@@ -19,7 +19,7 @@ Stamps can be unusable as the times of rows:
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -36,11 +36,11 @@ from tumble.recording.rows.gaps import (
     TIME,
     Gap,
     Grid,
+    Tables,
     check_time,
     is_reading,
     runs_backwards,
     seconds_of_stamps,
-    side_by_side,
 )
 from tumble.recording.session import LogSpec
 from tumble.units import Array, BoolArray
@@ -120,15 +120,14 @@ class TimedRows:
     repeated: int = 0
     first: Gap | None = None
 
-    def rows(self) -> Iterator[tuple[Array, Sequence[Unread]]]:
-        """Yield the rows in order, table by table, with their unreadable parts."""
-        spec, first = self.spec, 1
-        for table, unread in self.source.tables(spec.columns, spec.time if spec.clock else None):
-            rows = side_by_side(table, spec.readings, before=2)
-            rows[:, NUMBER] = np.arange(first, first + table.height)
-            rows[:, TIME] = 0.0 if spec.time is None else seconds_of_stamps(table[spec.time].to_numpy(), spec)
+    def rows(self, tables: Tables) -> Tables:
+        """Yield the rows of tables whose times are as written and which are not numbered yet, in order."""
+        first = 1
+        for rows, unread in tables:
+            rows[:, NUMBER] = np.arange(first, first + len(rows))
+            rows[:, TIME] = seconds_of_stamps(rows[:, TIME], self.spec)
             yield self.feed(rows, unread), unread
-            first += table.height
+            first += len(rows)
         if self.pending is not None:
             yield self.in_order(self.pending, last=True), ()
         self.finish(first - 1)
