@@ -76,8 +76,11 @@ class Cause:
         """Return what is found in a session, with the size in SI, and what to do about it."""
         kind, entry = self.kind or "gyro", WORDS[self.name]
         unit = entry["unit"].format(bias=BIAS_UNITS[kind])
-        words = {"sensors": SENSORS[kind], "size": with_unit(size, unit)}
-        words |= self.words[min(session, len(self.words) - 1)]
+        words = {
+            "sensors": SENSORS[kind],
+            "size": with_unit(size, unit),
+            **self.words[min(session, len(self.words) - 1)],
+        }
         return Advised(entry["found"].format(**words), entry["remedy"].format(**words))
 
 
@@ -283,11 +286,9 @@ def jumps(session: LinearisedSession) -> Iterator[Cause]:
             for name, last in zip(names, lasts, strict=True)
         ]
         for kind, block in session.blocks.items():
-            courses = (
-                np.repeat(np.column_stack(each), block.size, axis=1)
-                for each in ((at_rest, 0.0 * at_rest), (in_turn, there))
-            )
-            columns = session.columns(kind, np.tile(unit_biases(block), 2), *courses)
+            rest = np.repeat(np.column_stack([at_rest, 0.0 * at_rest]), block.size, axis=1)
+            turn = np.repeat(np.column_stack([in_turn, there]), block.size, axis=1)
+            columns = session.columns(kind, np.tile(unit_biases(block), 2), rest, turn)
             yield Cause(name="jump", kind=kind, columns=columns, beside=block.size, places=len(places), words=where)
 
 

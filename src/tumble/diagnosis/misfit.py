@@ -137,14 +137,14 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     linearised = _rows_to_judge(estimate.linearised, estimate)
     session, together = LinearisedSession(linearised), linearised.problem.observations.together
     usual = usual_sizes(estimate, linearised, UNUSUAL_RATIO)
-    in_run = {name: usual.get(name, 0.0) for name in ("accel_in_run", "gyro_in_run")}
-    expected = solve(linearised, VarianceComponents(**in_run))
+    accel_in_run, gyro_in_run = (usual.get(f"{kind}_in_run", 0.0) for kind in ("accel", "gyro"))
+    expected = solve(linearised, VarianceComponents(accel_in_run=accel_in_run, gyro_in_run=gyro_in_run))
     groups = [
         list(_groups_of_residuals(linearised.components, expected, *each))
         for each in zip(session.observed, linearised.problem.parts, strict=True)
     ]
     causes = _causes(session) if search else [list[Finding]() for _ in groups]
-    limit = holm_limit([each.p_value for of_session in (*groups, *causes) for each in of_session])
+    limit = holm_limit([*(g.p_value for each in groups for g in each), *(c.p_value for each in causes for c in each)])
     varying = list(varying_parameters(estimate, linearised))
     reported = {kind for finding in varying for kind in finding.kinds if finding.causes != ("scale-factor drift",)}
     findings = list[Finding]()
@@ -173,9 +173,11 @@ def _rows_to_judge(linearised: Linearisation, estimate: Estimate) -> Linearisati
     of the posterior each."""
     problem, sizes = linearised.problem, {h.name: h.value for h in estimate.hyperparameters}
     prior_u = problem.prior_u.copy()
-    for name, members in problem.instrument.members.items():
-        places = slice(members.start + 1, members.stop + 1)
-        prior_u[places] = np.maximum(prior_u[places], sizes.get(name, 0.0) * problem.usual_u[places])
+    for finding in estimate.groups:
+        if (members := problem.instrument.members.get(finding.name)) is not None:
+            places, size = slice(members.start + 1, members.stop + 1), sizes.get(finding.name, 1.0)
+            wide = max(size, finding.prior_widened) * problem.usual_u[places]
+            prior_u[places] = np.maximum(prior_u[places], wide)
     return with_unknown_headings(linearised.with_priors(replace(problem, prior_u=prior_u)))
 
 
