@@ -292,11 +292,12 @@ class _RestSearch:
         noise_limit = self._rate_limit(np.array([*noise, 0.0]))
         middle = 0.5 * (self.start + self.stop)
         time = (2.0 * middle - middle.min() - middle.max()) / max(float(np.ptp(middle)), 1e-9)
-        level = level_function(rate, self.force, time, spans, off, noise_limit, window, tuning)
-        if level is not None:
-            rate = level.subtracted_from(rate, self.force, time)
+        found = level_function(rate, self.force, time, spans, off, noise_limit, window, tuning)
+        step_at, step = np.inf, np.zeros(3)
+        if found is not None:
+            rate, accepted, step_at, step = found
             spans, is_still, rate_limit = self._find_still(rate, is_calm, is_quiet)
-            spans = _overlapping(spans, level.accepted)
+            spans = _overlapping(spans, accepted)
             off = self._find_off_level(rate, is_calm, spans, rate_limit)
         rejected = []
         for span, offset in off.items():
@@ -312,12 +313,11 @@ class _RestSearch:
                 reason += f"{scatter_limit:.2g} m/s^2"
                 rejected.append(Stretch.of_blocks(*self._in_file((i, j)), "scatter", reason))
         whole = self._segmentation(spans, rate, scatter_limit, rate_limit, rejected)
-        if level is not None and np.isfinite(level.step_at):  # else all stretches with the other level are too short
-            first_block = {f.file: edge for f, edge in zip(self.files, self.edges, strict=False)}
-            for rest in whole.rests:
-                if time[first_block[rest.file] + (rest.first + rest.last) // 2] > level.step_at:
-                    return replace(whole, jump=level.coefficients[5], jump_at=(rest.file, rest.start))
-        return whole
+        first_block = {f.file: edge for f, edge in zip(self.files, self.edges, strict=False)}
+        for rest in whole.rests:
+            if time[first_block[rest.file] + (rest.first + rest.last) // 2] > step_at:
+                return replace(whole, jump=step, jump_at=(rest.file, rest.start))
+        return whole  # without a jump, or if all stretches after it are too short
 
     def _runs(self, flags: BoolArray) -> list[Span]:
         """Return [first, last) of every run of true values within a file."""
