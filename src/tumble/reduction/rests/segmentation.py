@@ -446,6 +446,7 @@ class _RestSearch:
         return merged
 
     def _extended_span(self, span: Span, rate: Array | None) -> Span:
+        """Return a span with its ends moved."""
         first, last = span
         k, tenth, half = bisect_right(self.edges, first), (last - first) // 10, min(self.window, last - first) // 2
         signals = []
