@@ -16,7 +16,6 @@ the fit to the others predicts its level.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,22 +27,6 @@ OffLevel = dict[Span, Array]
 """Differences (3,), rad/s, of the gyros from their level at rest in quiet, steady stretches, by first block and end."""
 _G, _G_AND_DRIFT, _STEP, _G_AND_STEP = [0, 1, 2, 3], [0, 1, 2, 3, 4], [0, 5], [0, 1, 2, 3, 5]
 """Columns of b, G, d, s that are fitted together."""
-
-
-@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
-class LevelFunction:
-    """The gyro level as a function of force and time.
-
-    `coefficients`: of the regressors (6, 3), that of 1 zero. `step_at`: t₀, infinite without a jump. `accepted`: the
-    stretches whose level follows the function."""
-
-    coefficients: Array
-    step_at: float
-    accepted: list[Span]
-
-    def subtracted_from(self, rate: Array, force: Array, time: Array) -> Array:
-        """Return the rates of blocks (K, 3) less the part of the level that changes."""
-        return np.asarray(rate - _regressors(force, time, self.step_at) @ self.coefficients)
 
 
 def _regressors(force: Array, time: Array, step_at: float) -> Array:
@@ -60,28 +43,29 @@ def level_function(
     limit: float,
     window: int,
     tuning: Tuning,
-) -> LevelFunction | None:
+) -> tuple[Array, list[Span], float, Array] | None:
     """Fit G, d and s to the gyro levels of rests of at least a window and of stretches off the level.
 
     `rate`, `force`, `time`: block means (K, 3) of the rate, rad/s, and of the specific force, m/s², and times (K,),
-    −1 … 1. `limit`: largest distance, rad/s, of a level that follows the function. `window`: in blocks. Return None if
-    no function explains the levels of most stretches, or if a constant explains them all."""
+    −1 … 1. `limit`: largest distance, rad/s, of a level that follows the function. `window`: in blocks. Return the rate
+    less the part of the level that changes, the stretches whose level follows the function, t₀, infinite without a
+    jump, and s (3,); None if no function explains the levels of most stretches, or if a constant explains them all."""
     at_level = [(i, j) for i, j in rests if j - i >= window]
     stretches = at_level + list(off)
     if len(stretches) < tuning.level_attitudes:
         return None
     cores = [slice(*core(i, j, window)) for i, j in stretches]
-    level, force, at = (np.array([x[span].mean(axis=0) for span in cores]) for x in (rate, force, time))
+    level, f, t = (np.array([x[span].mean(axis=0) for span in cores]) for x in (rate, force, time))
     usual = np.array([limit, *3 * [tuning.g_sensitivity], tuning.level_drift, tuning.level_drift]) / limit
-    in_order = np.sort(at)[tuning.beside_jump - 1 : len(at) + 1 - tuning.beside_jump]
+    in_order = np.sort(t)[tuning.beside_jump - 1 : len(t) + 1 - tuning.beside_jump]
     steps = 0.5 * (in_order[1:] + in_order[:-1]) if len(off) >= tuning.beside_jump else ()  # one may be a turn
-    columns, step_at, rows = [0], np.inf, np.ones((len(at), 1))
+    columns, step_at, rows = [0], np.inf, np.ones((len(t), 1))
     stepless = fits = _fits(rows, level, limit)
     if fits.all():
         return None
     with_step = ((trial, float(step)) for step in steps for trial in (_STEP, _G_AND_STEP))
     for trial, step in [(_G, np.inf), (_G_AND_DRIFT, np.inf), *with_step]:
-        trial_rows = (usual * _regressors(force, at, step))[:, trial]
+        trial_rows = (usual * _regressors(f, t, step))[:, trial]
         trial_fits = _fits(trial_rows, level, limit)
         fewest = tuning.level_attitudes if trial == _G else tuning.level_stretches
         share, gain = tuning.level_share * len(level), stepless.sum() + tuning.level_gain * len(level)
@@ -107,7 +91,7 @@ def level_function(
     coefficients = np.zeros((6, 3))
     coefficients[columns] = usual[columns, None] * _least_squares(rows[fits], level[fits])[0]
     coefficients[0] = 0.0
-    return LevelFunction(coefficients=coefficients, step_at=step_at, accepted=accepted)
+    return rate - _regressors(force, time, step_at) @ coefficients, accepted, step_at, coefficients[5]
 
 
 def core(first: int, last: int, window: int) -> Span:

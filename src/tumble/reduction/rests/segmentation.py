@@ -60,6 +60,7 @@ ACCEL_ROUNDING = 1e-5  # m/s²: rounding of block means from single-precision in
 GYRO_ROUNDING = 1e-7  # rad/s: the same
 LONGEST_LIST = 20  # stretches that a message lists one by one
 FEWEST_CHANGES = 24  # independent changes that show how large they usually are
+EXTENSION_STRIDE = 256  # blocks compared at a time when a span is extended
 NORMAL_MEDIAN = 0.6745  # of the absolute value of a standard normal variable
 
 Fails = Literal["duration", "scatter", "vertical", "level"]
@@ -291,11 +292,12 @@ class _RestSearch:
         noise_limit = self._rate_limit(np.array([*noise, 0.0]))
         middle = 0.5 * (self.start + self.stop)
         time = (2.0 * middle - middle.min() - middle.max()) / max(float(np.ptp(middle)), 1e-9)
-        level = level_function(rate, self.force, time, spans, off, noise_limit, window, tuning)
-        if level is not None:
-            rate = level.subtracted_from(rate, self.force, time)
+        found = level_function(rate, self.force, time, spans, off, noise_limit, window, tuning)
+        step_at, step = np.inf, np.zeros(3)
+        if found is not None:
+            rate, accepted, step_at, step = found
             spans, is_still, rate_limit = self._find_still(rate, is_calm, is_quiet)
-            spans = _overlapping(spans, level.accepted)
+            spans = _overlapping(spans, accepted)
             off = self._find_off_level(rate, is_calm, spans, rate_limit)
         rejected = []
         for span, offset in off.items():
@@ -311,12 +313,11 @@ class _RestSearch:
                 reason += f"{scatter_limit:.2g} m/s^2"
                 rejected.append(Stretch.of_blocks(*self._in_file((i, j)), "scatter", reason))
         whole = self._segmentation(spans, rate, scatter_limit, rate_limit, rejected)
-        if level is not None and np.isfinite(level.step_at):  # else all stretches with the other level are too short
-            first_block = {f.file: edge for f, edge in zip(self.files, self.edges, strict=False)}
-            for rest in whole.rests:
-                if time[first_block[rest.file] + (rest.first + rest.last) // 2] > level.step_at:
-                    return replace(whole, jump=level.coefficients[5], jump_at=(rest.file, rest.start))
-        return whole
+        first_block = {f.file: edge for f, edge in zip(self.files, self.edges, strict=False)}
+        for rest in whole.rests:
+            if time[first_block[rest.file] + (rest.first + rest.last) // 2] > step_at:
+                return replace(whole, jump=step, jump_at=(rest.file, rest.start))
+        return whole  # without a jump, or if all stretches after it are too short
 
     def _runs(self, flags: BoolArray) -> list[Span]:
         """Return [first, last) of every run of true values within a file."""
@@ -436,24 +437,37 @@ class _RestSearch:
     def _extended(self, spans: list[Span], rate: Array | None) -> list[Span]:
         """Move the ends of spans, blurred by half a window, to where single blocks are more than `edge` standard
         deviations off the mean of the span, and merge those that overlap."""
-        signals = [(self.force, self.force_step)] + ([] if rate is None else [(rate, self.rate_step)])
-        middles, merged = [0, *((first + last) // 2 for first, last in spans), self.edges[-1]], list[Span]()
-        for (first, last), low, high in zip(spans, middles, middles[2:], strict=False):
-            k = bisect_right(self.edges, first)
-            low, high = max(low, self.edges[k - 1]), min(high, self.edges[k])
-            tenth, half, is_like = (last - first) // 10, min(self.window, last - first) // 2, np.full(high - low, True)
-            for values, rounding in signals:
-                inner = values[first + tenth : last - tenth]
-                beyond = np.linalg.norm(values[low:high] - inner.mean(axis=0), axis=1) - rounding
-                is_like &= beyond <= self.tuning.edge * np.sqrt(inner.var(axis=0).sum())
-            unlike = low + np.flatnonzero(~is_like)
-            start = int(unlike[unlike < first + half].max(initial=low - 1)) + 1
-            stop = int(unlike[unlike >= last - half].min(initial=high))
+        merged = list[Span]()
+        for start, stop in sorted(self._extended_span(span, rate) for span in spans):
             if merged and start < merged[-1][1]:
                 merged[-1] = merged[-1][0], max(stop, merged[-1][1])
             elif stop > start:
                 merged.append((start, stop))
         return merged
+
+    def _extended_span(self, span: Span, rate: Array | None) -> Span:
+        """Return a span with its ends moved."""
+        first, last = span
+        k, tenth, half = bisect_right(self.edges, first), (last - first) // 10, min(self.window, last - first) // 2
+        signals = []
+        for values, rounding in ((self.force, self.force_step), (rate, self.rate_step)):
+            if values is not None:
+                inner = values[first + tenth : last - tenth]
+                limit = self.tuning.edge * np.sqrt(inner.var(axis=0).sum()) + rounding
+                signals.append((values, inner.mean(axis=0), limit))
+
+        def end(block: int, way: int) -> int:
+            """Return the first block unlike the span, backwards (way = −1) or forwards (1) from one within it."""
+            while True:
+                edge = min(max(block + way * EXTENSION_STRIDE, self.edges[k - 1]), self.edges[k])
+                rows = slice(min(edge, block), max(edge, block))
+                like = [np.linalg.norm(values[rows] - mean, axis=1) <= limit for values, mean, limit in signals]
+                unlike = np.flatnonzero(~np.logical_and.reduce(like)[::way])
+                if edge == block or len(unlike):
+                    return block + way * int(unlike[0]) if len(unlike) else block
+                block = edge
+
+        return end(first + half, -1), end(last - half, 1)
 
     def _divided_at_steps(self, spans: list[Span], rate: Array | None) -> list[Span]:
         """Divide spans in which a reading steps to another level, as by a knock or a jump of a bias (step 7)."""

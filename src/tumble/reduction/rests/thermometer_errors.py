@@ -29,7 +29,8 @@ from tumble.units import Array
 SQUARED_WEIGHTS = 4.375  # variance of d_i of Eq. (1) over that of a level
 MEDIAN = 0.6745  # of the absolute value of a standard normal variable
 LEAST_STEP = 0.9  # of a step, by rounding
-LARGEST_EXPONENT = 50.0  # of a temperature beyond the levels, which ends half a step away
+MAX_PARABOLA, PARABOLA_ERRORS = 10, 1.5
+"""Most levels that a parabola is fitted to, and its largest rms deviation from them, in errors of a level."""
 
 
 def with_thermometer_errors(observations: Observations, readings: Mapping[int, tuple[Array, Array]]) -> Observations:
@@ -110,25 +111,38 @@ def curve_through(time: Array, level: Array, seconds: Array, record: Array) -> A
         return record
     late, early, step = seconds > time[-1], seconds < time[0], float(np.abs(np.diff(level)).max())
     out = np.asarray(PchipInterpolator(time, level)(np.clip(seconds, time[0], time[-1])))
-    out[late] += _beyond(time[-3:], level[-3:], seconds[late])
-    out[early] += _beyond(time[2::-1], level[2::-1], seconds[early])
+    out[late] += _after_last(time[-3:], level[-3:], seconds[late])
+    out[early] += _before_first(time, level, seconds[early])
     for beyond, reading in ((late, record[-1]), (early, record[0])):
         out[beyond] = np.clip(out[beyond], reading - 0.5 * step, reading + 0.5 * step)
     return out
 
 
-def _beyond(t: Array, level: Array, at: Array) -> Array:
-    """Return differences of the temperature `at` times beyond the last of two or three levels, crossed at times t, from
-    this level; in order of time, or against it.
+def _before_first(time: Array, level: Array, earlier: Array) -> Array:
+    """Return differences of the temperature at `earlier` times from the first of the levels (k,), crossed at times
+    (k,).
 
-    They follow the exponential through three levels, or a straight line if there is none."""
-    slope, x = np.diff(level) / np.diff(t), at - t[-1]
-    ratio = slope[0] / slope[-1] if slope[-1] else 0.0
-    if not ratio > 0.0 or ratio == 1.0:
+    They follow a parabola through as many levels, from 3 to MAX_PARABOLA, as it fits to within their error, or a
+    straight line for two levels."""
+    limit = PARABOLA_ERRORS * level_error(time, level)
+    for n in range(min(len(time), MAX_PARABOLA), 2, -1):
+        fit = np.polyfit(time[:n] - time[0], level[:n] - level[0], 2)
+        off = np.polyval(fit, time[:n] - time[0]) - level[:n] + level[0]
+        if n == 3 or off @ off <= limit**2 * (n - 3):
+            return np.asarray(np.polyval(fit, earlier - time[0]))
+    return np.asarray((level[1] - level[0]) / (time[1] - time[0]) * (earlier - time[0]))
+
+
+def _after_last(t: Array, level: Array, later: Array) -> Array:
+    """Return differences of the temperature at `later` times from the last of two or three levels, crossed at times t.
+
+    They follow an exponential through three levels if the change slows down, else a straight line."""
+    slope, x = np.diff(level) / np.diff(t), later - t[-1]
+    if len(slope) == 1 or slope[0] == 0.0 or not 0.0 < slope[1] / slope[0] < 1.0:
         return np.asarray(slope[-1] * x)
-    constant = 0.5 * (t[2] - t[0]) / np.log(ratio)
+    constant = 0.5 * (t[2] - t[0]) / np.log(slope[0] / slope[1])
     last = slope[1] * np.exp(-0.5 * (t[2] - t[1]) / constant)
-    return np.asarray(-last * constant * np.expm1(np.minimum(-x / constant, LARGEST_EXPONENT)))
+    return np.asarray(-last * constant * np.expm1(-x / constant))
 
 
 def level_error(time: Array, level: Array) -> float:
