@@ -233,14 +233,14 @@ def _fit(sphere: _Sphere, used: BoolArray) -> EllipsoidFit | None:
 
     def excess(scatter: float) -> float:
         """Return χ² of the residuals with a scatter, less its expectation."""
-        return float((residual**2 / (variance + scatter**2 * by_scatter)).sum()) - degrees
+        return float((misses**2 / (variance + scatter**2 * by_scatter)).sum()) - degrees
 
     for scatter_round in range(1 + SCATTER_ROUNDS):
         if scatter_round:
-            residual, _, variance, by_scatter = (each[used] for each in sphere.rows(values))
+            misses, _, variance, by_scatter = (each[used] for each in sphere.rows(values))
             if scatter_round == 1 and not needs_scatter(excess(0.0) + degrees, degrees):
                 break
-            scatter = fit_scatter(excess, float(np.sqrt(np.mean(residual**2 / by_scatter))))
+            scatter = fit_scatter(excess, float(np.sqrt(np.mean(misses**2 / by_scatter))))
         for _ in range(MAX_ITERATIONS):
             residual, jacobian, sigma = sphere.whitened(values, scatter)
             solution = least_squares(jacobian[used], residual[used], spread)

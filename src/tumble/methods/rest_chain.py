@@ -149,14 +149,10 @@ class RestChain:
         self._sizes = np.tile(signed, len(biases))
         self.threshold = float(np.log(len(self._sum_bias) * rests_apart))
         self._finest = np.full(len(biases), np.inf)
-        self._restart_sums()
-
-    def _restart_sums(self) -> None:
-        """Restart all sums."""
         count = len(self._sum_bias)
-        self.sums, self._mean = np.zeros(count), np.zeros((len(self._P), count))
-        self._sum_score, self._sum_weight, self._change = np.zeros(count), np.zeros(count), np.zeros(count)
-        self._begun: list[tuple[int, float]] = [(0, 0.0)] * count
+        self.sums, self._sum_score, self._sum_weight, self._change = np.zeros((4, count))
+        self._mean, self._first = np.zeros((n, count)), np.zeros(count, dtype=int)
+        self._since = np.zeros(count)
 
     def add(self, observations: Observations, prior: CheckPrior, *, apart: float | None = None) -> JudgedRest:
         """Test the next rest.
@@ -209,9 +205,8 @@ class RestChain:
         restarted = (self.sums <= 0.0) & np.isfinite(change)
         self._change[restarted], self._mean[:, restarted] = change[restarted], 0.0
         self._mean[1 + self._biases[self._sum_bias[restarted]], restarted] = change[restarted]
-        for k in np.flatnonzero(restarted):
-            self.sums[k] = self._sum_score[k] = self._sum_weight[k] = 0.0
-            self._begun[k] = self.rests, start
+        self.sums[restarted] = self._sum_score[restarted] = self._sum_weight[restarted] = 0.0
+        self._first[restarted], self._since[restarted] = self.rests, start
         size, t, zeta = self._statistics(G, z, self._mean)
         self.sums += np.minimum(size * zeta - 0.5 * size**2, LARGEST_SHARE * self.threshold)
         self._sum_score += size * t
@@ -259,12 +254,12 @@ class RestChain:
             u=float(abs(self._change[k]) / np.sqrt(self._sum_weight[k])),
             probability=min(1.0, self.rests * len(self.sums) * float(np.exp(-self.sums.max()))),
             others={names[j]: best[j] for j in others},
-            rest=self._begun[k][0],
-            since=self._begun[k][1],
+            rest=int(self._first[k]),
+            since=float(self._since[k]),
         )
         free = np.array(list(best))
         self._P[1 + free, 1 + free] += self._limits[free] ** 2
-        self._restart_sums()
+        self.sums[:] = 0.0  # all begin anew
         return (moved,)
 
     def result(self, moved: tuple[MovedBias, ...] = ()) -> CheckResult:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from tumble.planning.bounds import CLOCK, GRAVITY, Bound, expected_bound
 from tumble.planning.itinerary import Motion
 from tumble.planning.next_positions import NextPosition, TurnTable, next_positions
 from tumble.planning.pass_errors import REST_NOISE, MethodOfPaper, PassErrors, remarks
-from tumble.planning.setup import NAMES, UNITS, Setup, check_setup, expect, time_of, with_all_groups
+from tumble.planning.setup import GROUPS, NAMES, UNITS, Setup, check_setup, expect, time_of, with_all_groups
 from tumble.recording.session import USUAL_RATE_U
 from tumble.recording.session.document import UNKNOWN_HEIGHT_GRAVITY_U
 from tumble.reduction.blocks.tuning import USUAL
@@ -199,40 +199,44 @@ def plan(
         return next_positions(setup, wanted=wanted, gyros=gyros, table=table)
 
     errors = None if method == "joint" else PassErrors.of(setup, method)
+    calibrated = list(errors.estimators) if errors is not None else GROUPS if gyros else GROUPS[:3]
+    for group in wanted:
+        if group not in calibrated:
+            raise InputError(f"wanted: expected some of {', '.join(calibrated)}, found {group!r}")
+    groups, missing, particular = list[PlannedGroup](), list[str](), dict[str, Any]()
     if errors is None:
         bound = state(setup)
-        groups = _groups_of(bound, setup)
-    else:
-        groups = []
-        for iteration in range(1, iterations + 1):
-            sources = {**errors.methodical(iteration), **errors.noise}
-            u = np.sqrt(np.sum([*sources.values()], axis=0))
-            groups += _planned_groups(NAMES, u, sources, setup, errors.estimators, iteration)
-    names = dict.fromkeys(row.group for row in groups if row.group in UNITS)
-    for group in wanted:
-        if group not in names:
-            raise InputError(f"wanted: expected some of {', '.join(names)}, found {group!r}")
-    found, missing = Plan(setup=setup, method=method, groups=tuple(groups), motion=motion), list[str]()
-    if errors is None:
-        counts = _positions_needed(wanted, setup, state, following, progress)
-        requirements = [_joint_requirement(group, w, setup, state, counts.get(group)) for group, w in wanted.items()]
-        undetermined = in_words(bound.null, bound.names)
-        if undetermined:
+        groups += _groups_of(bound, setup)
+        if undetermined := in_words(bound.null, bound.names):
             undetermined.sort(key=lambda text: [name not in text for name in bound.names])
             missing.append(f"not determined: {', '.join(undetermined)}")
+        counts = _positions_needed(wanted, setup, state, following, progress)
+        requirements = [_joint_requirement(group, w, setup, state, counts.get(group)) for group, w in wanted.items()]
         positions = tuple(
             replace(one, u={row.group: row.u for row in _groups_of(state(one.added(setup)), setup)})
             for one in following(setup, wanted)[:NEXT]
         )
-        found = replace(found, rank=bound.rank, condition=bound.condition, following=positions)
+        particular = {"rank": bound.rank, "condition": bound.condition, "following": positions, "motion": motion}
     else:
+        for iteration in range(1, iterations + 1):
+            sources = {**errors.methodical(iteration), **errors.noise}
+            u = np.sqrt(np.sum([*sources.values()], axis=0))
+            groups += _planned_groups(NAMES, u, sources, setup, errors.estimators, iteration)
+        last = {row.group: row for row in groups}
         if wanted and max(setup.table_error, setup.mounting_error) == 0.0:  # equal tolerances
             errors = PassErrors.of(replace(setup, table_error=DEGREE, mounting_error=DEGREE), errors.method)
-        requirements = [_paper_requirement(found.group(group), w, errors) for group, w in wanted.items()]
-        found = replace(found, remarks=tuple(remarks(setup)))
+        requirements = [_paper_requirement(last[group], w, errors) for group, w in wanted.items()]
+        particular = {"remarks": tuple(remarks(setup))}
     impossible = (row.reason for row in requirements if row.reason)
     unfit = () if motion is not None else _unfit(setup)
-    return replace(found, requirements=tuple(requirements), reasons=(*missing, *unfit, *impossible))
+    return Plan(
+        setup=setup,
+        method=method,
+        groups=tuple(groups),
+        requirements=tuple(requirements),
+        reasons=(*missing, *unfit, *impossible),
+        **particular,
+    )
 
 
 def largest_errors(setup: Setup) -> tuple[float, float]:
