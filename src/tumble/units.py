@@ -44,29 +44,21 @@ class Unit:
         return self.factor * (rate if self.kind == "increment" else 1.0)
 
 
-ACCEL_UNITS = {
-    "m/s^2": Unit(factor=1.0, kind="rate"),
-    "g": Unit(factor=G_STANDARD, kind="rate"),
-    "mg": Unit(factor=1e-3 * G_STANDARD, kind="rate"),
-    "cm/s^2": Unit(factor=1e-2, kind="rate"),
-    "mm/s^2": Unit(factor=1e-3, kind="rate"),
-    "m/s": Unit(factor=1.0, kind="increment"),
-    "count": Unit(factor=1.0, kind="raw"),
-    "V": Unit(factor=1.0, kind="raw"),
-}
+def _units(rates: Mapping[str, float], increments: Mapping[str, float]) -> dict[str, Unit]:
+    """Return the units of a kind of sensors by name, from their factors in SI."""
+    raw = {"count": 1.0, "V": 1.0}
+    by_kind: Mapping[Kind, Mapping[str, float]] = {"rate": rates, "increment": increments, "raw": raw}
+    return {name: Unit(factor=size, kind=kind) for kind, sizes in by_kind.items() for name, size in sizes.items()}
 
-GYRO_UNITS = {
-    "rad/s": Unit(factor=1.0, kind="rate"),
-    "deg/s": Unit(factor=DEGREE, kind="rate"),
-    "mdeg/s": Unit(factor=1e-3 * DEGREE, kind="rate"),
-    "0.1 deg/s": Unit(factor=0.1 * DEGREE, kind="rate"),
-    "deg/h": Unit(factor=DEGREE_PER_HOUR, kind="rate"),
-    "rad": Unit(factor=1.0, kind="increment"),
-    "deg": Unit(factor=DEGREE, kind="increment"),
-    "arcsec": Unit(factor=ARCSEC, kind="increment"),
-    "count": Unit(factor=1.0, kind="raw"),
-    "V": Unit(factor=1.0, kind="raw"),
-}
+
+ACCEL_UNITS = _units(
+    rates={"m/s^2": 1.0, "g": G_STANDARD, "mg": 1e-3 * G_STANDARD, "cm/s^2": 1e-2, "mm/s^2": 1e-3},
+    increments={"m/s": 1.0},
+)
+GYRO_UNITS = _units(
+    rates={"rad/s": 1.0, "deg/s": DEGREE, "mdeg/s": 1e-3 * DEGREE, "0.1 deg/s": 0.1 * DEGREE, "deg/h": DEGREE_PER_HOUR},
+    increments={"rad": 1.0, "deg": DEGREE, "arcsec": ARCSEC},
+)
 
 UNIT_TOLERANCE = 0.25  # relative error of readings above which their unit is doubted; biases and scale errors are less
 

@@ -132,26 +132,14 @@ def test_an_interrupted_job_is_resumed_without_losing_or_repeating_a_row(
     assert sorted(computed(tmp_path / "log")) == list(range(40))
 
 
-def test_rows_that_two_runs_computed_are_taken_once(expected: pl.DataFrame, tmp_path: Path) -> None:
-    def twice(of: Job, pending: Sequence[int]) -> Iterator[Done]:
+@pytest.mark.skipif(sys.platform == "win32", reason="no locks of folders")
+def test_a_second_run_in_a_folder_is_refused_while_the_first_goes_on(expected: pl.DataFrame, tmp_path: Path) -> None:
+    def joined(of: Job, pending: Sequence[int]) -> Iterator[Done]:
+        with pytest.raises(InputError, match="expected a folder that no other process uses, found one in use"):
+            run(of, tmp_path / "out")
         yield from serially(of, pending)
-        yield from serially(of, pending[5:20])
 
-    assert rows(job(), tmp_path / "out", twice).equals(expected)
-
-
-@pytest.mark.parametrize("chunks", [1, 1000])
-def test_a_table_that_another_run_made_meanwhile_is_taken(chunks: int, expected: pl.DataFrame, tmp_path: Path) -> None:
-    def overtaken(of: Job, pending: Sequence[int]) -> Iterator[Done]:
-        """Another run makes the table after the first chunk, or after the last."""
-        for count, done in enumerate(serially(of, pending)):
-            if count == chunks:
-                run(of, tmp_path)
-            yield done
-        if not (tmp_path / engine.TABLE).exists():
-            run(of, tmp_path)
-
-    assert rows(job(), tmp_path, overtaken).equals(expected)
+    assert rows(job(), tmp_path / "out", joined).equals(expected)
 
 
 def test_progress_counts_to_the_end(tmp_path: Path) -> None:

@@ -25,22 +25,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any, Unpack, cast
+from typing import Any, Self, Unpack, cast
 
 import numpy as np
 import polars as pl
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.campaigns.cluster import Place, executor_for
 from tumble.campaigns.engine import Job, Progress, run
 from tumble.campaigns.trial import Cell, session_rows, setup_of
-from tumble.documents import shown, text_of_document, toml_of
-from tumble.errors import InputError, did_you_mean
+from tumble.documents import shown, text_of_document, toml_of, validated
+from tumble.errors import did_you_mean
 from tumble.files import FilePath, whole_file
 from tumble.planning.bounds import instrument_of
 from tumble.programme.positions import BUILT_IN
@@ -63,15 +64,15 @@ class Axis:
     whole: bool = False
 
     def check(self, value: Any, where: str) -> None:
-        """Raise InputError if the axis cannot have this value."""
+        """Raise ValueError if the axis cannot have this value."""
         if self.names:
             if value not in self.names:
-                raise InputError(f"{where}: expected one of {', '.join(self.names)}, found {shown(value)}")
+                raise ValueError(f"{where}: expected one of {', '.join(self.names)}, found {shown(value)}")
             return
         (least, most), is_number = self.limits, isinstance(value, int if self.whole else int | float)
         if not is_number or isinstance(value, bool) or not least <= value <= most:
             kind = "a whole number" if self.whole else "a number"
-            raise InputError(f"{where}: expected {kind} from {least:g} to {most:g}, found {shown(value)}")
+            raise ValueError(f"{where}: expected {kind} from {least:g} to {most:g}, found {shown(value)}")
 
 
 AXES: Mapping[str, Axis] = {
@@ -90,17 +91,39 @@ AXES: Mapping[str, Axis] = {
 }
 """Axes of the grid apart from the method, outermost first."""
 _METHOD = Axis(default=DEFAULT_METHOD, names=(*METHODS, *ITERATED_METHODS))
-_TRIALS, _SEED = Axis(limits=(1, MAX_TASKS), whole=True), Axis(limits=(0, 2**63), whole=True)
+_LARGEST_SEED = 2**63
 
 
-@dataclass(frozen=True, kw_only=True, slots=True)
-class Campaign:
+class Campaign(BaseModel):
     """A campaign; `grid` has the values of all axes and of the method."""
 
-    trials: int
-    seed: int
-    intervals: bool
-    grid: Mapping[str, Sequence[Any]]
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    trials: int = Field(ge=1, le=MAX_TASKS, description=f"a whole number from 1 to {MAX_TASKS:g}")
+    seed: int = Field(default=0, ge=0, le=_LARGEST_SEED, description=f"a whole number from 0 to {_LARGEST_SEED:g}")
+    intervals: bool = False
+    grid: dict[str, Any] = {}
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        """Check the grid, and give every axis a list of values."""
+        axes, stated = {"method": _METHOD, **AXES}, dict(self.grid)
+        for name, written in stated.items():
+            if name not in axes:
+                raise ValueError(f"unknown key {name!r} in [grid]{did_you_mean(name, axes)}")
+            axis, values = axes[name], written if isinstance(written, list) else [written]
+            if not values:
+                raise ValueError(f"grid.{name}: expected a value or more, found none")
+            for value in values:
+                axis.check(value, f"grid.{name}")
+            self.grid[name] = values if axis.names or axis.whole else [float(value) for value in values]
+        if {"programme", "positions"} <= stated.keys():
+            raise ValueError("grid.positions: expected no grid.programme with it, found both; leave one out")
+        unstated = {name: [axis.default] for name, axis in axes.items() if name not in stated}
+        self.grid.update(unstated | ({"programme": [None]} if "positions" in stated else {}))
+        if self.trials * len(self.cells) > MAX_TASKS:
+            raise ValueError(f"trials: expected at most {MAX_TASKS} over all points of the grid, found more")
+        return self
 
     @property
     def cells(self) -> tuple[Cell, ...]:
@@ -118,7 +141,7 @@ class Campaign:
         schema |= {"method": pl.String, "accepted": pl.Boolean, "reasons": pl.String}
         schema |= {f"{quantity}.{name}": pl.Float64 for quantity in ("error", "u", "bound") for name in names}
         return Job(
-            definition={"campaign": asdict(self)},
+            definition={"campaign": self.model_dump()},
             items=self.cells * self.trials,
             task=partial(session_rows, self.seed, cast("list[Method]", self.grid["method"]), self.intervals),
             schema=schema,
@@ -127,44 +150,7 @@ class Campaign:
 
 def read_campaign(path: Path) -> Campaign:
     """Read a campaign from a file. Raises InputError."""
-    return campaign_of(toml_of(text_of_document(path), str(path)), str(path))
-
-
-def campaign_of(content: Mapping[str, Any], where: str = "campaign") -> Campaign:
-    """Return the campaign that the content of a file describes; `where` names it in messages. Raises InputError."""
-    grid = content.get("grid", {})
-    if not isinstance(grid, Mapping):
-        raise InputError(f"{where}: grid: expected a table, found {shown(grid)}")
-    for place, keys, names in (
-        ("at the top level", content, ("seed", "trials", "intervals", "grid")),
-        ("in [grid]", grid, ("method", *AXES)),
-    ):
-        for key in keys:
-            if key not in names:
-                raise InputError(f"{where}: unknown key {key!r} {place}{did_you_mean(key, names)}")
-    if {"programme", "positions"} <= grid.keys():
-        raise InputError(f"{where}: grid.positions: expected no grid.programme with it, found both; leave one out")
-    intervals = content.get("intervals", False)
-    if not isinstance(intervals, bool):
-        raise InputError(f"{where}: intervals: expected true or false, found {shown(intervals)}")
-    trials, seed = content.get("trials", "none"), content.get("seed", 0)
-    _TRIALS.check(trials, f"{where}: trials")
-    _SEED.check(seed, f"{where}: seed")
-    axes, stated = {"method": _METHOD, **AXES}, grid
-    grid = {name: value if isinstance(value, list) else [value] for name, value in stated.items()}
-    for name, values in grid.items():
-        if not values:
-            raise InputError(f"{where}: grid.{name}: expected a value or more, found none")
-        for value in values:
-            axes[name].check(value, f"{where}: grid.{name}")
-        if not axes[name].names and not axes[name].whole:
-            grid[name] = [float(value) for value in values]
-    grid = {name: grid.get(name, [axis.default]) for name, axis in axes.items()}
-    grid["programme"] = [None] if "positions" in stated else grid["programme"]
-    campaign = Campaign(trials=trials, seed=seed, intervals=intervals, grid=grid)
-    if trials * len(campaign.cells) > MAX_TASKS:
-        raise InputError(f"{where}: trials: expected at most {MAX_TASKS} over all points of the grid, found more")
-    return campaign
+    return validated(Campaign, toml_of(text_of_document(path), str(path)), str(path))
 
 
 # -------------------- summary --------------------

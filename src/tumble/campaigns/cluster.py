@@ -144,7 +144,7 @@ def _import_dask() -> tuple[Any, Any]:
 def _compute_on(client: Client, job: Job, pending: Sequence[int]) -> Iterator[Done]:
     """Compute tasks on the processes of a client (an `Executor`). Raises TumbleError if the cluster is lost, or has no
     process for LOST_SECONDS."""
-    import distributed
+    _, distributed = _import_dask()
 
     def tasks_of(chunk: Chunk) -> list[tuple[int, Row]]:
         return [(number, job.items[number]) for number in chunk]
@@ -159,7 +159,7 @@ def _compute_on(client: Client, job: Job, pending: Sequence[int]) -> Iterator[Do
                 work = job.task, job.columns, tasks_of(chunk)
                 sent[client.submit(_compute_in_worker, *work, pure=False)] = chunk
             try:
-                finished: Any = distributed.wait(list(sent), timeout=LOST_SECONDS, return_when="FIRST_COMPLETED")
+                finished = distributed.wait(list(sent), timeout=LOST_SECONDS, return_when="FIRST_COMPLETED")
             except TimeoutError:
                 if cast(Any, client).nthreads():
                     continue
@@ -173,7 +173,7 @@ def _compute_on(client: Client, job: Job, pending: Sequence[int]) -> Iterator[Do
                 except Exception as error:
                     lost.update(chunk)
                     waiting += ((number,) for number in chunk if lost[number] <= ATTEMPTS)
-                    if max(map(lost.get, chunk)) > ATTEMPTS:
+                    if max(lost[number] for number in chunk) > ATTEMPTS:
                         reason = f"{type(error).__name__}: {error}"
                         if isinstance(error, distributed.KilledWorker):
                             reason = f"each of {ATTEMPTS} processes that computed it alone died"

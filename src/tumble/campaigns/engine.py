@@ -22,10 +22,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
 from tumble import __version__
 from tumble.documents import json_of, text_of_document
 from tumble.errors import InputError
-from tumble.files import whole_file
+from tumble.files import in_use, whole_file
 
 CHUNKS_PER_WORKER = 32  # so that all processes end at about the same time
 LARGEST_CHUNK = 64  # tasks
@@ -59,8 +61,6 @@ class Job:
     @property
     def columns(self) -> dict[str, Any]:
         """Polars types of all columns of the table."""
-        import polars as pl
-
         return {"task": pl.Int64, **self.schema, "error": pl.String}
 
 
@@ -77,31 +77,35 @@ def run(
     """Compute the missing tasks of a job in a folder, and return the path of its table.
 
     Tasks are computed in this process by default, else by an `executor` (see `tumble.campaigns.cluster`). Raises
-    InputError if the folder has other content or belongs to another job, TumbleError if a cluster is lost; finished
-    chunks are kept."""
-    import polars as pl
-
-    table = folder / TABLE
-    if _open_folder(job, folder) and table.exists():
-        return table
-    try:
-        (folder / "parts").mkdir(exist_ok=True)
-        parts = _parts(folder)
-        done = set(pl.scan_parquet(parts).select("task").collect()["task"]) if parts else set[int]()
-        pending = [number for number in range(len(job.items)) if number not in done]
+    InputError if the folder has other content, belongs to another job or is in use, TumbleError if a cluster is lost;
+    finished chunks are kept."""
+    _open_folder(job, folder)
+    table, parts = folder / TABLE, folder / "parts"
+    with in_use(folder):
+        if table.exists():
+            return table
+        parts.mkdir(exist_ok=True)
+        done = _rows_of(parts, job).select("task").collect()["task"]
+        pending = sorted({*range(len(job.items))}.difference(done))
         count = len(job.items) - len(pending)
         progress(count, len(job.items))
         for numbers, part in (executor or serially)(job, pending):
             name = f"{numbers[0]:09d}-{numbers[-1]:09d}-{len(numbers)}.parquet"
-            with whole_file(folder / "parts" / name) as temporary:
+            with whole_file(parts / name) as temporary:
                 temporary.write_bytes(part)
             count += len(numbers)
             progress(count, len(job.items))
-        _join_parts(job, folder)
-    except FileNotFoundError:  # another run in the same folder has completed the table
-        if not table.exists():
-            raise
+        rows = _rows_of(parts, job).sort("task", maintain_order=True).collect()
+        with whole_file(table) as temporary:
+            rows.write_parquet(temporary)
+        shutil.rmtree(parts)
     return table
+
+
+def _rows_of(parts: Path, job: Job) -> pl.LazyFrame:
+    """Return the rows of the finished chunks."""
+    files = sorted(path for path in parts.iterdir() if path.match("[0-9]*.parquet"))
+    return pl.scan_parquet(files) if files else pl.LazyFrame(schema=job.columns)
 
 
 # -------------------- tasks --------------------
@@ -123,8 +127,6 @@ def compute(
     task: Callable[[int, Any], list[Row]], columns: Mapping[str, Any], tasks: Iterable[tuple[int, Row]]
 ) -> bytes:
     """Compute tasks and return their rows as a Parquet file."""
-    import polars as pl
-
     rows: list[Row] = []
     for number, item in tasks:
         try:
@@ -140,8 +142,8 @@ def compute(
 # -------------------- the folder --------------------
 
 
-def _open_folder(job: Job, folder: Path) -> bool:
-    """Return True if the folder belongs to this job; initialise a new folder. Raises InputError for others."""
+def _open_folder(job: Job, folder: Path) -> None:
+    """Check that a folder belongs to this job; initialise a new folder. Raises InputError for others."""
     manifest = folder / MANIFEST
     sha256 = hashlib.sha256(json.dumps(job.identity, sort_keys=True, allow_nan=False).encode()).hexdigest()
     if manifest.exists():
@@ -151,32 +153,10 @@ def _open_folder(job: Job, folder: Path) -> bool:
             raise InputError(f"{manifest}: expected the manifest of a job of tumble, found another file") from error
         if not same_job:
             raise InputError(f"{folder}: expected a new folder, found one that another job has begun; give another")
-        return True
+        return
     if folder.exists() and not (folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())):
         raise InputError(f"{folder}: expected a new folder, or one that was begun by the same command, found another")
     folder.mkdir(parents=True, exist_ok=True)
     content = {"format": 1, "sha256": sha256, **job.identity}
     with whole_file(manifest) as temporary:
         temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    return False
-
-
-def _parts(folder: Path) -> list[Path]:
-    return sorted(path for path in (folder / "parts").iterdir() if path.match("[0-9]*.parquet"))
-
-
-def _join_parts(job: Job, folder: Path) -> None:
-    """Join the parts into one table, sorted by task.
-
-    Where two runs in one folder computed the same task, its rows are equal and those of one part are kept. The folder
-    of parts is renamed before it is removed, so that another run finds all parts or none."""
-    import polars as pl
-
-    parts = _parts(folder)
-    frame = pl.scan_parquet(parts, include_file_paths="part") if parts else pl.DataFrame(schema=job.columns).lazy()
-    if parts:
-        frame = frame.filter(pl.col("part") == pl.col("part").min().over("task")).drop("part")
-    table = frame.sort("task", maintain_order=True).collect()
-    with whole_file(folder / TABLE) as temporary:
-        table.write_parquet(temporary)
-    shutil.rmtree((folder / "parts").rename(folder / "joined"))

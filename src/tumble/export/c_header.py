@@ -28,7 +28,7 @@ from typing import Any
 
 import numpy as np
 
-from tumble.export.exported import Exported, example_line, models, notes_of, numbers, origin, shown
+from tumble.export.exported import Exported, example_line, models, notes_of, origin, shown
 from tumble.export.templates import render_layout
 from tumble.reduction.rests.thermometer import followed
 from tumble.result.calibration import Calibration
@@ -41,11 +41,6 @@ from tumble.units import Array
 
 LAG_EXAMPLE = ((20.0, 0.0), (21.0, 10.0), (23.0, 10.0), (23.0, 60.0))
 """Readings of a thermometer, degC, and the seconds since the previous reading."""
-
-HELD = frozenset(
-    {"accel.quadratic", "accel.cubic", "accel.asymmetry", "gyro.asymmetry", "gyro.cubic", "gyro.g_sensitivity"}
-)
-"""Groups beyond the linear model that the functions apply."""
 
 HELD_OVER_TEMPERATURE = frozenset(
     f"{kind}.{what}.{t}" for kind in UNITS for what in ("bias", "scale") for t in OVER_TEMPERATURE
@@ -60,7 +55,7 @@ def c_header(calibration: Calibration) -> Exported:
     by_kind, compensator = models(calibration), calibration.compensator
     thermal = bool(thermal_parameters(calibration)) and calibration.reference_temperature is not None
     lags = {kind: lag for kind, lag in compensator.lags.items() if thermal and lag != 0.0 and kind in by_kind}
-    held = HELD | (HELD_OVER_TEMPERATURE if thermal else frozenset()) | {f"{kind}.lag" for kind in lags}
+    held = (HELD_OVER_TEMPERATURE if thermal else frozenset()) | {f"{kind}.lag" for kind in lags}
     losses = notes_of(calibration, held=held)
     comments = origin(calibration)
     for kind, worked in examples(compensator, list(by_kind)).items():
@@ -106,7 +101,7 @@ def _constant(number: str, name: str, values: Array) -> str:
     """Return a constant array of C, double or float, whose numbers read back exactly."""
 
     def row(each: Array) -> str:
-        texts = map(repr, numbers(each)) if number == "double" else (f"{v!s}f" for v in each.astype(np.float32))
+        texts = map(repr, each.tolist()) if number == "double" else (f"{v!s}f" for v in each.astype(np.float32))
         return ", ".join(texts)
 
     sizes = "".join(f"[{size}]" for size in values.shape)

@@ -122,14 +122,9 @@ def one_line(text: str) -> str:
     return " ".join(shown.replace("*/", "* /").replace("\\", "/").split())
 
 
-def numbers(values: Array) -> list[float]:
-    """Return an array as a list of floats, row by row."""
-    return [float(value) for value in np.ravel(values)]
-
-
 def shown(values: Array) -> str:
     """Format numbers so that they read back exactly."""
-    return " ".join(map(repr, numbers(values)))
+    return " ".join(map(repr, np.ravel(values).tolist()))
 
 
 def yaml_number(value: float) -> str:

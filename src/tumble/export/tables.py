@@ -27,7 +27,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from tumble.export.autopilots import example_temperature, temperature_range
-from tumble.export.exported import Exported, example_line, in_units, models, notes_of, numbers, origin, table_notes
+from tumble.export.exported import Exported, example_line, in_units, models, notes_of, origin, table_notes
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.file import content_of
@@ -60,14 +60,14 @@ def csv_table(calibration: Calibration) -> Exported:
     empty = [""] * (len(_FURTHER) + len(names))
     for i, p in enumerate(calibration.parameters):
         further = ["" if (value := getattr(p, name)) is None else repr(value) for name in _FURTHER]
-        row = [""] * len(names) if calibration.covariance is None else map(repr, numbers(calibration.covariance[i]))
+        row = [""] * len(names) if calibration.covariance is None else map(repr, calibration.covariance[i].tolist())
         rows.append([p.name, repr(p.value), "" if p.u is None else repr(p.u), p.unit, *further, *row])
     for kind, model in models(calibration).items():
-        worked, matrix = linear_example(kind, model), enumerate(model.matrix, 1)
-        entries = [(f"matrix.{p}.{q}", value, "1") for p, row in matrix for q, value in enumerate(numbers(row), 1)]
+        worked, matrix = linear_example(kind, model), enumerate(model.matrix.tolist(), 1)
+        entries = [(f"matrix.{p}.{q}", value, "1") for p, row in matrix for q, value in enumerate(row, 1)]
         vectors = {"bias_of": model.bias, "example.reading": worked.reading, "example.true": worked.true}
         for name, vector in vectors.items():
-            entries += [(f"{name}.{p}", value, UNITS[kind]) for p, value in enumerate(numbers(vector), 1)]
+            entries += [(f"{name}.{p}", value, UNITS[kind]) for p, value in enumerate(vector.tolist(), 1)]
         rows += [[f"{kind}.{name}", repr(value), "", unit, *empty] for name, value, unit in entries]
     return _csv_file((*origin(calibration), "reading = matrix * true + bias, SI", *losses), rows, losses)
 
@@ -114,7 +114,7 @@ def csv_thermal(calibration: Calibration) -> Exported:
         *losses,
     ]
     rows = [["temperature_degC", *(title for each in curves for title in (each.name, f"U({each.name})"))]]
-    for i, temperature in enumerate(numbers(celsius)):
+    for i, temperature in enumerate(celsius.tolist()):
         row = [f"{temperature:.9g}"]
         for each in curves:
             row += [f"{each.value[i]:.9g}", "" if each.expanded is None else f"{each.expanded[i]:.4g}"]

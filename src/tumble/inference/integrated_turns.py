@@ -94,7 +94,7 @@ class IntegratedTurns:
     ) -> IntegratedTurns:
         """Integrate the turns of a session about parameters `values` (m,), and `changes` (K, n, 15) of the coefficients
         in each turn."""
-        accel, gyro, K = instrument.accel, instrument.gyro, instrument.all_coefficients(values).copy()
+        accel, gyro, K = instrument.accel, instrument.gyro, instrument.linearised(values)[0].copy()
         assert gyro is not None
         square = _square(accel, K[: accel.size])[:, None]  # of products, compensation has squares along the axes only
         K[: accel.size, PRODUCTS] = np.where(_FIRST == _SECOND, 1.0, 2.0) * square * _products(accel)
@@ -176,7 +176,7 @@ class IntegratedTurns:
     def rotations(self, instrument: Instrument, values: Array, changes: Array | float = 0.0) -> Array:
         """Return rotations C (K, 3, 3), to first order, at `values` of the parameters and `changes` (K, n, 15) of the
         coefficients in each turn."""
-        offset = instrument.all_coefficients(values) + changes - self.coefficients
+        offset = instrument.linearised(values)[0] + changes - self.coefficients
         phi = -(self.paths[:, :3] * np.expand_dims(offset, -3)).sum(axis=(2, 3))
         return np.asarray(rotation_matrix(phi) @ self.C)
 

@@ -199,36 +199,30 @@ class Compensator:
         return np.asarray(self.polynomials.get(f"{kind}.{what}", nothing))
 
     @cached_property
-    def accelerometers(self) -> Solver:
-        """Solver of the accelerometers for the specific force."""
-        return Solver.of(self.accel, self.accel_coefficients, self._thermal(self.accel), self.levers)
-
-    @cached_property
-    def gyros(self) -> Solver:
-        """Solver of the gyros for the rate."""
-        assert self.gyro is not None
-        return Solver.of(self.gyro, self.gyro_coefficients, self._thermal(self.gyro))
+    def solvers(self) -> dict[str, Solver]:
+        """Solver of each kind of sensors, for the specific force or for the rate."""
+        out: dict[str, Solver] = {}
+        for block, K in map(self.sensors, ("accel", "gyro")):
+            if block is not None:
+                changes = (self.changes(block.kind, what) for what in ("bias", "scale"))
+                thermal = np.column_stack([self.reference(block.kind), *changes]) if self._is_thermal(block) else None
+                out[block.kind] = Solver.of(block, K, thermal, self.levers if block.kind == "accel" else None)
+        return out
 
     def force(self, readings: Array, temperature: Array | None = None) -> Array:
-        """Return the specific force (N, 3), m/s², from readings (N, n), SI, at temperatures (N, n) or (N, 1), °C."""
-        return self.accelerometers.solved(readings, None, self._temperature_of(self.accel, temperature))
+        """Return the specific force (N, 3), m/s², from readings (N, n), SI, at temperatures (N, n) or (N, 1), °C, which
+        may be missing if they have no effect."""
+        return self.solvers["accel"].solved(readings, None, temperature if self._is_thermal(self.accel) else None)
 
     def rate(self, readings: Array, force: Array, temperature: Array | None = None) -> Array:
         """Return the rate (N, 3), rad/s, from readings (N, n), SI, in a specific force (N, 3), at temperatures
         likewise."""
         assert self.gyro is not None
-        return self.gyros.solved(readings, force, self._temperature_of(self.gyro, temperature))
+        return self.solvers["gyro"].solved(readings, force, temperature if self._is_thermal(self.gyro) else None)
 
-    def _temperature_of(self, block: Block, temperature: Array | None) -> Array | None:
-        """Return temperatures, None if they have no effect: then they may be missing."""
-        return temperature if self.warm and block.kind in self.references else None
-
-    def _thermal(self, block: Block) -> Array | None:
-        """Return reference temperatures, °C, and changes of biases and scale factors per K, K² and K³ (n, 7)."""
-        if not self.warm or block.kind not in self.references:
-            return None
-        changes = (self.changes(block.kind, what) for what in ("bias", "scale"))
-        return np.column_stack([self.reference(block.kind), *changes])
+    def _is_thermal(self, block: Block) -> bool:
+        """Whether readings of these sensors change with temperature."""
+        return self.warm and block.kind in self.references
 
 
 def _changes(blocks: tuple[Block, Block | None], values: Mapping[str, float]) -> dict[str, Array]:

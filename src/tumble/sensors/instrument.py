@@ -166,11 +166,7 @@ class Instrument:
 
     def coefficients(self, block: Block, values: Array) -> Array:
         """Return K (n, 15) of a block, read-only."""
-        return self.all_coefficients(values)[self.rows(block)]
-
-    def all_coefficients(self, values: Array) -> Array:
-        """Return K (n, 15) of accelerometers and gyros, read-only."""
-        return self.linearised(values)[0]
+        return self.linearised(values)[0][self.rows(block)]
 
     def derivative(self, block: Block, values: Array) -> Array:
         """Return ∂K/∂θ (n, 15, m) of a block by all parameters, read-only."""

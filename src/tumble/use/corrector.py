@@ -116,7 +116,7 @@ class Stream:
             gyro_thermometers = thermometers + gyro_thermometers
         self.moved = self.gyros and bool(np.any(compensator.levers))
         self.delay = int(self.moved)
-        accel, rates = compensator.accelerometers, compensator.gyros if self.gyros else None
+        accel, rates = compensator.solvers["accel"], compensator.solvers["gyro"] if self.gyros else None
         n, m = len(accel.sheet), 0 if rates is None else len(rates.sheet)
         sheet = np.zeros((0, WIDTH)) if rates is None else rates.sheet
         steps, feels_force = (1, False) if rates is None else (rates.steps, rates.feels)
