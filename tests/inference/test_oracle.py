@@ -64,7 +64,7 @@ EVERY = [(name, seed) for name in MADE for seed in range(1, 2 if name in SESSION
 def test_likelihood_score_and_estimate_are_those_of_dense_matrices(name: str, seed: int) -> None:
     start = started(MADE[name](seed))
     if seed == 3:  # biases that are anew at every rest
-        start = replace(start, problem=replace(start.problem, bias_after=1.0))
+        start = start.again(replace(start.problem, bias_after=1.0), start.point)
     fitted = maximise(start, iterations=1)
     hyperparameters, at = fitted.hyperparameters, fitted.linearisation
     phi, S, q = away_from_bounds(hyperparameters, seed), len(at.problem.parts), len(at.problem.local_u)

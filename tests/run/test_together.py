@@ -13,6 +13,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
+from tests.support.plain_rows import of_rests, plain_rows
 from tumble.cli import main
 from tumble.diagnosis.causes import LinearisedSession
 from tumble.diagnosis.misfit import misfit
@@ -123,7 +124,7 @@ def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences
     point = somewhere(problem)
     observations, m = problem.observations, len(point.values)
     about = IntegratedTurns.of(observations, problem.instrument, point.values, problem.coefficient_changes(point))
-    rows = linearise(problem, point, about)
+    rows = plain_rows(linearise(problem, point, about))
     size = np.concatenate([problem.prior_u[1:], problem.local_u])
     thermal = [i for i, name in enumerate(problem.instrument.names) if name.rpartition(".")[2] in ("t1", "t2")]
     thermal += [i for i, name in enumerate(problem.instrument.names) if name.endswith("hysteresis")]
@@ -131,7 +132,9 @@ def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences
     for i in [*thermal, *range(m, m + len(problem.local_u))]:
         step = 1e-3 * size[i] * np.eye(len(size))[i]
         ends = [
-            linearise(problem, replace(point, values=point.values + d[:m], local=point.local + d[m:]), about)
+            plain_rows(
+                linearise(problem, replace(point, values=point.values + d[:m], local=point.local + d[m:]), about)
+            )
             for d in (step, -step)
         ]
         for which, first in (("rest", 3), ("turn", 6)):
@@ -145,14 +148,14 @@ def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences
 def dense(problem: Problem, point: Point) -> Array:
     """The covariance of gravity and the parameters by ordinary least squares of everything at once."""
     rows = linearise(problem, point, IntegratedTurns.of(problem.observations, problem.instrument, point.values))
-    W_rest, W_turn, _ = rows.noise.whitening()
+    W, plain = rows.noise.whitening(), plain_rows(rows)
     turns = problem.observations.turns
     assert turns is not None
-    N, m, q, S = len(problem.link), len(point.values), len(problem.local_u), len(problem.parts)
+    N, m, q, S = len(problem.chain), len(point.values), len(problem.local_u), len(problem.parts)
     blocks = []
-    every = (W_rest @ rows.rest, np.arange(N), 3), (W_turn @ rows.turn, turns.first, 6)
-    for place, (found, first, wide) in enumerate(every):
-        for own, i, s in zip(found, first, problem.of_session[place], strict=True):
+    every = (of_rests(W) @ plain.rest, np.arange(N), 3), (W["turn"] @ plain.turn, turns.first, 6)
+    for found, first, wide in every:
+        for own, i, s in zip(found, first, problem.session[first], strict=True):
             block = np.zeros((len(own), 3 * N + S * q + 1 + m))
             block[:, 3 * i : 3 * i + wide], block[:, 3 * N + S * q :] = own[:, :wide], own[:, wide : wide + 1 + m]
             block[:, 3 * N + s * q : 3 * N + (s + 1) * q] = own[:, wide + 1 + m : -1]

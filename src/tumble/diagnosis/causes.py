@@ -207,8 +207,8 @@ class LinearisedSession:
 
     def zero_columns(self, q: int) -> tuple[Array, Array]:
         """Return zero columns (N, r, q) of the rests and (K, t, q) of the turns."""
-        rows = self.linearised
-        return np.zeros((*rows.rest.shape[:2], q)), np.zeros((*rows.turn.shape[:2], q))
+        rest, turn = (np.zeros((*residuals.shape, q)) for residuals in self.linearised.residuals)
+        return rest, turn
 
     def after_rest(self, last: int, part: SessionSpan) -> tuple[Array, Array]:
         """Return which rests (N,) and turns (K,) of a session follow one of its rests, 0 or 1; ½ for the next turn."""
@@ -365,7 +365,8 @@ def _lags_along_session(
     Each sensor has a state, which starts at its force in the first rest of a session. `lag` returns the lags in steps
     and the states (..., n) after them, from the states before, the forces (steps, n) and the duration of a step in
     `times` (...), s."""
-    rests, turns, link = session.observations.rests, session.observations.turns, session.problem.link
+    rests, turns = session.observations.rests, session.observations.turns
+    turn_after = {rest: k for k, rest in enumerate(session.problem.before_turn.tolist())}
     force, path = session.force @ block.axes.T, session.path_forces @ block.axes.T
     at_rest, in_turn = np.zeros((*times.shape, *force.shape)), np.zeros((*times.shape, *path.shape))
     state = np.zeros((*times.shape, block.size))
@@ -373,7 +374,7 @@ def _lags_along_session(
         if i in session.first_rests:
             state = np.broadcast_to(here, state.shape)
         at_rest[..., i : i + 1, :], state = lag(state, here[None], (rests.stop[i] - rests.start[i]) / times)
-        if (k := link[i]) >= 0 and turns is not None:
+        if (k := turn_after.get(i)) is not None and turns is not None:
             in_turn[..., k, :, :], state = lag(state, path[k], turns.duration[k] / PATH_STEPS / times)
     return at_rest, in_turn
 

@@ -82,7 +82,7 @@ def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list
     turn[:, :3, 0] = axis
     if in_velocities:
         turn[:, 3:6, 1] = np.cross(axis, session.linearised.gained)
-    drops = approximate_drops(with_scatter.equations.turn_whitening @ turn, *with_scatter.turn_residuals)
+    drops = approximate_drops(with_scatter.equations.whitening["turn"] @ turn, *with_scatter.residuals["turn"])
     chosen, sentences = np.zeros(len(turn)), list[str]()
     for part, observed in zip(session.problem.parts, session.observed, strict=True):
         name = number = ""
@@ -146,15 +146,15 @@ def scatter_of_turns_only(linearised: Linearisation) -> Solution:
     The estimate may have taken errors of rotations for scatter of rests or for large groups. Rotations and velocities
     have a scatter each, as late accelerometers affect velocities only. The scatter of jerky turns is kept, as it
     depends on the axis too and is determined from their samples."""
-    Z, component = linearised.noise.turn_directions
+    noise = linearised.noise.rows["turn"]
     names = ("turn", "velocity") if linearised.problem.instrument.in_velocities else ("turn",)
-    directions = {name: Z[:, :, component == SCATTER.index(name)] for name in names}
+    directions = {name: noise.directions[:, :, noise.component == SCATTER.index(name)] for name in names}
     components = VarianceComponents(aliased=linearised.components.aliased)
     solution = diagnostic_solution(linearised, components, usual_sizes=True)
     for step in range(SCATTER_ROUNDS):
-        W, scatter = solution.equations.turn_whitening, dict[str, Any]()
+        W, scatter = solution.equations.whitening["turn"], dict[str, Any]()
         for name in names:
-            square = SumOfSquares.along(W @ directions[name], *solution.turn_residuals)
+            square = SumOfSquares.along(W @ directions[name], *solution.residuals["turn"])
             variance = getattr(components, name) ** 2 * square.square / max(square.mean, LEAST_MEAN_SQUARE)
             scatter[name] = float(np.sqrt(square.excess_variance if step == 0 else variance))
         components = replace(components, **scatter)
@@ -173,8 +173,8 @@ def lost_in_all_turns(session: LinearisedSession, s: int, turns_only: Solution) 
     assert about is not None
     axis = _turn_axes(about, part)
     angle = np.sqrt(about.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
-    W = turns_only.equations.turn_whitening[part, :, :3]
-    residual, covariance = (each[part] for each in turns_only.turn_residuals)
+    W = turns_only.equations.whitening["turn"][part, :, :3]
+    residual, covariance = (each[part] for each in turns_only.residuals["turn"])
     along, across = (
         SumOfSquares.along(W @ (angle * directions), residual, covariance)
         for directions in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))

@@ -101,14 +101,11 @@ class ResidualGroup:
         """Return the probability that chance exceeds the residuals of a session, in the directions of the scatter.
 
         `expected` is the solution with the noise within rests and the usual in-run biases."""
-        noise, equations = linearised.noise, expected.equations
-        at_rest = self.name in REST_SCATTER
-        Z, component = noise.rest_directions if at_rest else noise.turn_directions
-        W = equations.rest_whitening if at_rest else equations.turn_whitening
-        residual, covariance = expected.rest_residuals if at_rest else expected.turn_residuals
-        rows = part.rests if at_rest else part.turns
-        directions = Z[:, :, np.isin(component, [SCATTER.index(name) for name in (self.name, *self.others)])]
-        return SumOfSquares.along(W[rows] @ directions[rows], residual[rows], covariance[rows]).p_value
+        kind = self.name if self.name in REST_SCATTER else "turn"
+        noise, (residual, covariance) = linearised.noise.rows[kind], expected.residuals[kind]
+        W, rows, names = expected.equations.whitening[kind], part.rows[kind], (self.name, *self.others)
+        Z = noise.directions[rows][:, :, np.isin(noise.component, [SCATTER.index(name) for name in names])]
+        return SumOfSquares.along(W[rows] @ Z, residual[rows], covariance[rows]).p_value
 
 
 GROUPS = (

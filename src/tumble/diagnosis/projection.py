@@ -128,7 +128,7 @@ def projections(
     triangles = [with_local_prior(problem.local_u, *each)[q:, q:] for each in of_sessions]
     common = np.append(np.arange(p), p + c)
     for s, part in enumerate(problem.parts):
-        whitened = (equations.rest_rows[part.rests], equations.turn_rows[part.turns])
+        whitened = (equations.rows[kind][at] for kind, at in part.rows.items())
         length = np.sqrt(sum((each[..., -1 - c : -1] ** 2).sum(axis=(0, 1)) for each in whitened))
         triangle, others = triangles[s].copy(), 0
         for o, other in enumerate(triangles):
@@ -152,8 +152,9 @@ def projections(
             variance[biases] += (by_rests**2).sum(axis=(0, 2))
             by_columns[biases] += by_common @ np.vstack([by_columns, -np.eye(c)])
         undetermined = np.count_nonzero(equations.rest_factors[part.rests].diagonal(0, 1, 2)[:, :3] == 0.0)
-        rest_weight, turn_weight = noise.rest_weights[part.rests], noise.turn_weights[part.turns]
-        kept = (rest_weight**2).sum() + (turn_weight**2).sum()  # rows that are not left out
+        weights = {kind: noise.rows[kind].root_weights[at] ** 2 for kind, at in part.rows.items() if kind != "link"}
+        kept = sum(weight.sum() for weight in weights.values())  # rows that are not left out
+        angles = 3 * (part.stations.stop - part.stations.start)
         yield Projection(
             triangle=triangle[p : p + c, p : p + c],
             residual=triangle[p : p + c, -1],
@@ -161,7 +162,7 @@ def projections(
             length=length,
             u=np.sqrt(variance[1 - first : 1 - first + m]),
             chi_square=float((triangle[p:, -1] ** 2).sum()),
-            degrees=max(1.0, float(kept) - 3 * len(part.link) + undetermined + others - determined),
+            degrees=max(1.0, float(kept) - angles + undetermined + others - determined),
             has_scatter=components.wanders or bool(np.any(components.variances > 0.0)),
         )
 
@@ -205,9 +206,9 @@ def _with_north_rates(rows: Linearisation) -> Linearisation:
     gyro, n = problem.observations.gyro_block, problem.observations.accel_block.size
     if gyro is None or problem.earth[0] == 0.0:
         return rows
-    gyro_rows = slice(n, n + gyro.size)
-    variance = np.diagonal(noise.rest, axis1=1, axis2=2)[:, gyro_rows]
-    information = np.bincount(problem.chain, (rows.headings[:, gyro_rows] ** 2 / variance).sum(axis=1))
+    of_gyros = noise.rows["gyro"]
+    variance = np.diagonal(of_gyros.covariance, axis1=1, axis2=2)
+    information = np.bincount(problem.chain, (rows.rows["gyro"][:, :, 2] ** 2 / variance).sum(axis=1))
     unknown, single = information < DETERMINED_HEADING**-2, np.bincount(problem.chain) == 1
     rest, turn = north_rate_columns(rows)
     of_single = rest * (unknown & single)[problem.chain][:, None]
@@ -216,7 +217,9 @@ def _with_north_rates(rows: Linearisation) -> Linearisation:
     wide = rows.with_columns(rest[:, :, None] * is_in[:, None], turn[:, :, None] * is_in[problem.before_turn][:, None])
     added = np.arange(len(rows.prior) - 1, len(wide.prior) - 1)
     wide.prior[added, added] = 1.0
-    return replace(wide, noise=replace(noise, rest=noise.rest + of_single[:, :, None] * of_single[:, None]))
+    of_single = of_single[:, n:]
+    sources = {**of_gyros.sources, "north": of_single[:, :, None] * of_single[:, None]}
+    return replace(wide, noise=replace(noise, rows={**noise.rows, "gyro": replace(of_gyros, sources=sources)}))
 
 
 def north_rate_columns(rows: Linearisation) -> tuple[Array, Array]:
@@ -227,7 +230,7 @@ def north_rate_columns(rows: Linearisation) -> tuple[Array, Array]:
     problem, L = rows.problem, rows.point.attitudes
     gyro, n, north = problem.observations.gyro_block, problem.observations.accel_block.size, problem.earth[0]
     assert gyro is not None
-    rest, turn = np.zeros(rows.rest.shape[:2]), np.zeros(rows.turn.shape[:2])
+    rest, turn = map(np.zeros_like, rows.residuals)
     rest[:, n : n + gyro.size] = north * L[:, 0] @ gyro.axes.T
     turns = problem.observations.turns
     if turns is not None:

@@ -42,7 +42,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from tumble.inference.elimination import recur_backwards
-from tumble.inference.elimination_kernels import scatter_forms, state_forms
+from tumble.inference.elimination_kernels import state_forms
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import (
     CORRELATION_TIME,
@@ -52,6 +52,7 @@ from tumble.inference.noise import (
     REST_SCATTER,
     SCATTER,
     SCATTER_WORDS,
+    STATIONS,
     NoiseModel,
     VarianceComponents,
     typical_noise,
@@ -222,12 +223,13 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     n, s, q = problem.sensors, noise.states, solution.local.shape[-1]
 
     # components of variance, and directions of single sensors at rest
-    scatter, directions = np.zeros((2, len(SCATTER))), list[Array]()
-    for W, (r, C), (Z, place) in solution.by_kind:
-        directions.append(np.zeros((2, len(place))))
-        scatter_forms(W, Z, r, C, np.empty(Z.shape[1]), directions[-1])
-        directions[-1] *= noise.variances[place]
-        scatter += directions[-1] @ (place[:, None] == np.arange(len(SCATTER)))
+    scatter, of_sensors = np.zeros((2, len(SCATTER))), np.zeros((2, n))
+    for kind, r, C, WZ, component in solution.scatter:
+        square, trace = ((r[:, None] @ WZ) ** 2).sum(axis=(0, 1)), (WZ * (C @ WZ)).sum(axis=(0, 1))
+        forms = noise.variances[component] * np.stack([square, trace])
+        scatter += forms @ (component[:, None] == np.arange(len(SCATTER)))
+        if kind in noise.places:
+            of_sensors[:, noise.places[kind]] = forms
     if not np.isfinite(scatter.sum()):
         raise np.linalg.LinAlgError("residuals are beyond all measure")
 
@@ -258,7 +260,7 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
         (Scatter, scatter),
         (InRunSize, states[:2]),
         (CorrelationTime, times),
-        (SensorFactor, directions[0][:, :n] + states[:2, :n]),
+        (SensorFactor, of_sensors + states[:2, :n]),
         (GroupSize, priors),
         (LocalGroupSize, local_priors.sum(axis=1)),
     )
@@ -325,14 +327,13 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
 
     # components of variance, whose usual value is the noise along their directions
     noise_along: list[list[Array]] = [[] for _ in SCATTER]
-    for covariance, (Z, place) in (
-        (noise.rest, noise.rest_directions),
-        (noise.turn, noise.turn_directions),
-        (noise.link, noise.link_directions),
-    ):
-        length, size = (Z**2).sum(axis=1), ((covariance @ Z) * Z).sum(axis=1)
-        for number in set(place.tolist()):
-            at = (place == number) & (length > 0.0)
+    for rows in noise.rows.values():
+        length, size = (
+            (rows.directions**2).sum(axis=1),
+            ((rows.covariance @ rows.directions) * rows.directions).sum(axis=1),
+        )
+        for number in set(rows.component.tolist()):
+            at = (rows.component == number) & (length > 0.0)
             noise_along[number].append(size[at] / length[at] ** 2)
     for number, (name, (unit, words)) in enumerate(SCATTER_WORDS.items()):
         variances = np.concatenate([np.zeros(0), *noise_along[number]])
@@ -342,7 +343,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
 
     # in-run biases of both kinds, and factors of single sensors
     rests, first = observations.rests, 0
-    covariances = (rests.accel_covariance, rests.gyro_covariance) if len(problem.link) > 1 else ()
+    covariances = (rests.accel_covariance, rests.gyro_covariance) if len(problem.chain) > 1 else ()
     for block, covariance in zip(blocks, covariances, strict=False):
         kind, words = block.kind, "accelerometers" if block.kind == "accel" else "gyros"
         within = UNDISTURBED_WITHIN if undisturbed else IN_RUN_WITHIN
@@ -422,22 +423,20 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     def add_square(Z: Array) -> None:
         square[:] += Z.reshape(-1, D).T @ Z.reshape(-1, D)
 
-    # rests, turns and links: Z of a component of variance is 2 v W z zᵀ Wᵀ r
+    # rows: Z of a component of variance is 2 v W z zᵀ Wᵀ r
     of_scatter = hyperparameters.members((Scatter, len(SCATTER)))
     of_sensors = hyperparameters.members((SensorFactor, problem.sensors))
-    for (rows, before, parts), (W, (r, _), (directions, place)) in zip(
-        solution.row_blocks, solution.by_kind, strict=True
-    ):
-        members = of_scatter[:, place]
-        members[:, : problem.sensors] += of_sensors if before is problem.station else 0.0
-        along = W @ directions
-        Z = (2.0 * noise.variances[place] * (r[:, None] @ along) * along) @ members.T
+    for kind, r, _, along, component in solution.scatter:
+        members, rows = of_scatter[:, component], equations.rows[kind]
+        if kind in noise.places:
+            members += of_sensors[:, noise.places[kind]]
+        Z = (2.0 * noise.variances[component] * (r[:, None] @ along) * along) @ members.T
         add_square(Z)
         products = np.swapaxes(rows[:, :, :-1], 1, 2) @ Z
-        for first in range(0, products.shape[1] + 1 - width, d):  # one station of a rest, two of others
-            at_stations[before + first // d] += products[:, first : first + d]
-        for s, part in enumerate(parts):
-            of_sessions[s] += products[part, 1 - width :].sum(axis=0)
+        for e in range(STATIONS[kind]):
+            at_stations[problem.first[kind] + e] += products[:, e * d : (e + 1) * d]
+        for s, part in enumerate(problem.parts):
+            of_sessions[s] += products[part.rows[kind], 1 - width :].sum(axis=0)
 
     # steps of states, and their initial values
     if states := noise.states:
@@ -479,7 +478,8 @@ def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) ->
     after = np.append(back[1:], np.zeros((1, s)), axis=0)
     by_time = np.where(follows, (slope * b - step**2 * after) / step - 2.0 * rho * slope * residual / step, 0.0)
     sizes = hyperparameters.members((InRunSize, s)).T.copy()
-    sizes[:n] += hyperparameters.members((SensorFactor, n)).T
+    if noise.biases:
+        sizes[:n] += hyperparameters.members((SensorFactor, n)).T
     times = hyperparameters.members((CorrelationTime, s)).T
     of_steps = -2.0 * (residual * step)[:, :, None] * sizes - by_time[:, :, None] * times
     return of_steps, -2.0 * b[first][:, :, None] * sizes + back[first][:, :, None] * times

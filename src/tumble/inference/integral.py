@@ -358,8 +358,9 @@ def _times_of(hyperparameters: Hyperparameters) -> dict[int, int]:
 
 def _spread_in_session(noise: NoiseModel, log_time: Array) -> Array:
     """Return ln of the standard deviation of an in-run bias about its mean over a session, relative to σ_b."""
-    chains = np.isinf(noise.interval).sum()
-    x = np.exp(-log_time) * noise.interval[np.isfinite(noise.interval)].sum() / max(chains, 1)
+    interval = noise.interval[:, 0]
+    chains = np.isinf(interval).sum()
+    x = np.exp(-log_time) * interval[np.isfinite(interval)].sum() / max(chains, 1)
     x = np.maximum(x, 1e-3)
     return np.asarray(0.5 * np.log(1.0 - 2.0 * (x + np.expm1(-x)) / x**2))
 
@@ -500,7 +501,7 @@ def triangles(
 
 def _in_parts(linearisation: Linearisation, phi: Array) -> Iterator[Array]:
     """Return the points φ (K, D) in parts that are computed together."""
-    count = max(1, RESTS_AT_ONCE // len(linearisation.problem.link))
+    count = max(1, RESTS_AT_ONCE // len(linearisation.problem.chain))
     return (phi[first : first + count] for first in range(0, len(phi), count))
 
 

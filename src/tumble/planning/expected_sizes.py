@@ -56,7 +56,7 @@ def with_expected_sizes(rows: Linearisation) -> Linearisation:
             if degrees > LEAST_DEGREES:
                 sizes_of_noise[h.name] = h.usual * _expected_scatter(degrees, of_turns=h.name in TURN_SCATTER)
         elif isinstance(h, InRunSize) and solution.equations.wanders:
-            ones = np.ones(len(np.arange(rows.noise.unknowns)[h.members]) * len(problem.link))
+            ones = np.ones(len(np.arange(rows.noise.unknowns)[h.members]) * len(problem.chain))
             share = float(np.clip(learned / len(ones), 1e-6, 1.0 - 1e-6))
             factor = _expected_size(ones, (1.0 - share) * ones, h.within, two_sided=True)[0]
             sizes_of_noise[h.name] = getattr(components, h.name) * float(factor)
@@ -79,8 +79,7 @@ def with_expected_sizes(rows: Linearisation) -> Linearisation:
 def _products(solution: Solution) -> Array:
     """Return tr (PD)² (c,) of the components of scatter, from the parts within a rest and within a turn."""
     out = np.zeros(len(SCATTER))
-    for W, (_, C), (Z, place) in solution.by_kind:
-        WZ = W @ Z
+    for _, _, C, WZ, place in solution.scatter:
         squares = ((np.swapaxes(WZ, 1, 2) @ C @ WZ) ** 2).sum(axis=0)
         for number in np.unique(place):
             out[number] += squares[np.ix_(place == number, place == number)].sum()
