@@ -102,6 +102,8 @@ class ResidualGroup:
 
         `expected` is the solution with the noise within rests and the usual in-run biases."""
         kind = self.name if self.name in REST_SCATTER else "turn"
+        if kind not in expected.residuals:
+            return 1.0
         noise, (residual, covariance) = linearised.noise.rows[kind], expected.residuals[kind]
         W, rows, names = expected.equations.whitening[kind], part.rows[kind], (self.name, *self.others)
         Z = noise.directions[rows][:, :, np.isin(noise.component, [SCATTER.index(name) for name in names])]

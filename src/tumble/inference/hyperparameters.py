@@ -29,7 +29,7 @@ sum of 1 − Var e. For a correlation time, with e_k the steps divided by √(1 
 
     ∂ℓ/∂ln τ = Σ ρ Δt/τ · (E[(β_{k+1} − ρ β_k) β_k] + ρ (1 − E e²)) / (1 − ρ²)
 
-To add a hyperparameter, add a subclass of `Hyperparameter` and an entry in `hyperparameters_of`.
+To add a hyperparameter, add an entry in `hyperparameters_of`, and its forms in `quadratic_forms`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from __future__ import annotations
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, Literal
 
 import numpy as np
 
@@ -82,23 +82,30 @@ LEAST_DEGREES = 0.5
 
 
 Members = slice | IntArray
+Kind = Literal["scatter", "process", "time", "sensor", "group", "local group"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hyperparameter:
     """Element of φ.
 
-    `usual` is the quantity, SI, about which the prior is, `within` its standard deviation in the logarithm, and
-    `members` the components, sensors, states or parameters concerned. If `bounded`, it is p of λ = exp(max(p, 0))."""
+    It is ln σ of a component of variance in SCATTER ("scatter"), ln σ or ln τ of a Gauss–Markov process ("process",
+    "time"), or p of a factor λ = exp(max(p, 0)): on scatter at rest and in-run bias of one sensor ("sensor"), or on the
+    size of a group of common parameters ("group") or of those of each session ("local group"). `usual` is the quantity, SI, about which the prior is, `within` its standard deviation in the logarithm, and
+    `members` the components, sensors, states or parameters concerned."""
 
-    bounded: ClassVar[bool] = False
-
+    kind: Kind
     name: str
     unit: str
     words: str
     usual: float
     within: float = 0.0
     members: Members = field(default_factory=lambda: slice(None))
+
+    @property
+    def bounded(self) -> bool:
+        """True for p of λ = exp(max(p, 0))."""
+        return self.kind in {"sensor", "group", "local group"}
 
     @property
     def centre(self) -> float:
@@ -114,45 +121,6 @@ class Hyperparameter:
         return Hyperparameters((self,)).log_prior(phi[..., None])[..., 0]
 
 
-class Scatter(Hyperparameter):
-    """ln σ of a component of variance in `SCATTER`."""
-
-    __slots__ = ()
-
-
-class InRunSize(Hyperparameter):
-    """ln σ of a Gauss–Markov process: in-run bias of a kind of sensor, or displacement."""
-
-    __slots__ = ()
-
-
-class CorrelationTime(Hyperparameter):
-    """ln τ of a Gauss–Markov process."""
-
-    __slots__ = ()
-
-
-class SensorFactor(Hyperparameter):
-    """p of the factor on scatter at rest and in-run bias of one sensor."""
-
-    __slots__ = ()
-    bounded = True
-
-
-class GroupSize(Hyperparameter):
-    """p of the factor on the size of a group of common parameters."""
-
-    __slots__ = ()
-    bounded = True
-
-
-class LocalGroupSize(Hyperparameter):
-    """p of the factor on the size of a group of parameters of each session."""
-
-    __slots__ = ()
-    bounded = True
-
-
 class Hyperparameters(tuple[Hyperparameter, ...]):
     """Elements of φ."""
 
@@ -163,7 +131,7 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
 
     def variances(self, phi: Array) -> BoolArray:
         """Return which elements (D,) are logarithms of standard deviations that matter at φ (D,)."""
-        times = np.array([isinstance(h, CorrelationTime) for h in self], dtype=bool)
+        times = np.array([h.kind == "time" for h in self], dtype=bool)
         return ~times & ~(self.bounded & (phi <= 0.0))
 
     @cached_property
@@ -174,7 +142,7 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
     @cached_property
     def _priors(self) -> tuple[Array, IntArray, IntArray]:
         """1/within (D,), 0 unless the prior is normal, and the indices of scatter of rests, and of turns and links."""
-        scatter = [i for i, h in enumerate(self) if isinstance(h, Scatter)]
+        scatter = [i for i, h in enumerate(self) if h.kind == "scatter"]
         at_rest, others = (
             np.array([i for i in scatter if (self[i].name in REST_SCATTER) is rests], dtype=int)
             for rests in (True, False)
@@ -196,17 +164,17 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
         return out
 
     @cached_property
-    def _members(self) -> dict[tuple[tuple[type[Hyperparameter], int], ...], Array]:
+    def _members(self) -> dict[tuple[tuple[Kind, int], ...], Array]:
         return {}
 
-    def members(self, *counts: tuple[type[Hyperparameter], int]) -> Array:
+    def members(self, *counts: tuple[Kind, int]) -> Array:
         """Return a matrix (D, Σ count), 1 where an element of a kind concerns one of the `count` members, else 0."""
         if counts not in self._members:
             out = self._members[counts] = np.zeros((len(self), sum(count for _, count in counts)))
             for i, h in enumerate(self):
                 first = 0
                 for kind, count in counts:
-                    if isinstance(h, kind):
+                    if h.kind == kind:
                         out[i, first : first + count][h.members] = 1.0
                     first += count
         return self._members[counts]
@@ -257,12 +225,12 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     local_priors = prior_forms(off_local, (solution.roots[:, :q] ** 2).sum(axis=-1), problem.local_u)
 
     forms = (
-        (Scatter, scatter),
-        (InRunSize, states[:2]),
-        (CorrelationTime, times),
-        (SensorFactor, of_sensors + states[:2, :n]),
-        (GroupSize, priors),
-        (LocalGroupSize, local_priors.sum(axis=1)),
+        ("scatter", scatter),
+        ("process", states[:2]),
+        ("time", times),
+        ("sensor", of_sensors + states[:2, :n]),
+        ("group", priors),
+        ("local group", local_priors.sum(axis=1)),
     )
     members = hyperparameters.members(*((kind, form.shape[1]) for kind, form in forms))
     return np.asarray(np.concatenate([form for _, form in forms], axis=1) @ members.T)
@@ -320,10 +288,10 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
     observations, blocks, out = problem.observations, problem.instrument.blocks, list[Hyperparameter]()
     undisturbed = problem.prior.undisturbed
 
-    def add(
-        kind: type[Hyperparameter], name: str, unit: str, words: str, usual: float, within: float, members: Members
-    ) -> None:
-        out.append(kind(name=name, unit=unit, words=words, usual=usual, within=within, members=members))
+    def add(kind: Kind, name: str, unit: str, words: str, usual: float, within: float, members: Members) -> None:
+        out.append(
+            Hyperparameter(kind=kind, name=name, unit=unit, words=words, usual=usual, within=within, members=members)
+        )
 
     # components of variance, whose usual value is the noise along their directions
     noise_along: list[list[Array]] = [[] for _ in SCATTER]
@@ -339,7 +307,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
         variances = np.concatenate([np.zeros(0), *noise_along[number]])
         if estimable[number] and len(variances) and not (undisturbed and name in REST_SCATTER):
             usual = 1.0 if name in LINK_SCATTER else float(np.sqrt(np.median(variances)))
-            add(Scatter, name, unit, words, usual, 0.0, slice(number, number + 1))
+            add("scatter", name, unit, words, usual, 0.0, slice(number, number + 1))
 
     # in-run biases of both kinds, and factors of single sensors
     rests, first = observations.rests, 0
@@ -349,20 +317,20 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
         within = UNDISTURBED_WITHIN if undisturbed else IN_RUN_WITHIN
         usual, members = observations.in_run.get(kind, typical_noise(covariance)), slice(first, first + block.size)
         words = f"in-run bias of the {words}"
-        add(InRunSize, f"{kind}_in_run", SCATTER_WORDS[kind][0], words, usual, within, members)
-        add(CorrelationTime, f"{kind}_time", "s", f"correlation time of the {words}", CORRELATION_TIME, within, members)
+        add("process", f"{kind}_in_run", SCATTER_WORDS[kind][0], words, usual, within, members)
+        add("time", f"{kind}_time", "s", f"correlation time of the {words}", CORRELATION_TIME, within, members)
         for c, sensor in enumerate(block.sensors if block.size > 1 and not undisturbed else ()):
             name, words = (
                 f"{kind}.in_run.{sensor}",
                 f"scatter and in-run bias of {kind} {sensor} over those of the others",
             )
-            add(SensorFactor, name, "1", words, 1.0, float(np.log(UNLIKE)), slice(first + c, first + c + 1))
+            add("sensor", name, "1", words, 1.0, float(np.log(UNLIKE)), slice(first + c, first + c + 1))
         first += block.size
     if problem.moves:
         words, members = "displacement of the device in motion", slice(first, first + 3)
-        add(InRunSize, "displacement", "m", words, DISPLACEMENT, 2.0, members)
+        add("process", "displacement", "m", words, DISPLACEMENT, 2.0, members)
         words = f"correlation time of the {words}"
-        add(CorrelationTime, "displacement_time", "s", words, DISPLACEMENT_TIME, 1.0, members)
+        add("time", "displacement_time", "s", words, DISPLACEMENT_TIME, 1.0, members)
 
     # Groups beyond the linear model. A lag keeps its size, because it multiplies other parameters and both could grow
     # together. So does a curvature at only two temperatures, and a hysteresis if these were approached from one side:
@@ -370,7 +338,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
     two, both_sides = at_two_temperatures(observations), ramps_up_and_down(observations)
     held = {"lag", "temperature²" if two else "lag", "lag" if both_sides else "hysteresis"}
     common = {name: at for name, at in problem.instrument.members.items() if variable_of(name) not in held}
-    for kind_of_size, groups in ((GroupSize, common), (LocalGroupSize, problem.local_members)):
+    for kind_of_size, groups in (("group", common), ("local group", problem.local_members)):
         for name in groups:
             if group_of(name).sized_with in groups:
                 continue
@@ -387,7 +355,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
 def scaled(problem: Problem, hyperparameters: Hyperparameters, phi: Array) -> tuple[Problem, VarianceComponents]:
     """Return the problem with prior sizes at φ (D,), and the components of variance; stacks for φ (P, D)."""
     values, m, q, n = np.exp(phi), len(problem.usual_u) - 1, len(problem.usual_local_u), problem.sensors
-    members = hyperparameters.members((GroupSize, m), (LocalGroupSize, q), (SensorFactor, n))
+    members = hyperparameters.members(("group", m), ("local group", q), ("sensor", n))
     factors = np.exp(np.maximum(phi, 0.0) @ members)
     prior_u = np.empty((*phi.shape[:-1], 1 + m))
     prior_u[..., 0], prior_u[..., 1:] = problem.usual_u[0], problem.usual_u[1:] * factors[..., :m]
@@ -424,8 +392,8 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
         square[:] += Z.reshape(-1, D).T @ Z.reshape(-1, D)
 
     # rows: Z of a component of variance is 2 v W z zᵀ Wᵀ r
-    of_scatter = hyperparameters.members((Scatter, len(SCATTER)))
-    of_sensors = hyperparameters.members((SensorFactor, problem.sensors))
+    of_scatter = hyperparameters.members(("scatter", len(SCATTER)))
+    of_sensors = hyperparameters.members(("sensor", problem.sensors))
     for kind, r, _, along, component in solution.scatter:
         members, rows = of_scatter[:, component], equations.rows[kind]
         if kind in noise.places:
@@ -451,8 +419,8 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     # priors
     off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
     u, off_local, local_u = problem.prior_u[1:, None], point.local + solution.local, problem.local_u[:, None]
-    Z = -2.0 * (off[:, None] / u) * hyperparameters.members((GroupSize, len(off))).T
-    Z_local = -2.0 * (off_local[..., None] / local_u) * hyperparameters.members((LocalGroupSize, q)).T
+    Z = -2.0 * (off[:, None] / u) * hyperparameters.members(("group", len(off))).T
+    Z_local = -2.0 * (off_local[..., None] / local_u) * hyperparameters.members(("local group", q)).T
     add_square(Z)
     add_square(Z_local)
     of_sessions[:, :q] += Z_local / local_u
@@ -477,9 +445,9 @@ def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) ->
     recur_backwards(rho[:, :, None] * np.eye(s), back[:, :, None])
     after = np.append(back[1:], np.zeros((1, s)), axis=0)
     by_time = np.where(follows, (slope * b - step**2 * after) / step - 2.0 * rho * slope * residual / step, 0.0)
-    sizes = hyperparameters.members((InRunSize, s)).T.copy()
+    sizes = hyperparameters.members(("process", s)).T.copy()
     if noise.biases:
-        sizes[:n] += hyperparameters.members((SensorFactor, n)).T
-    times = hyperparameters.members((CorrelationTime, s)).T
+        sizes[:n] += hyperparameters.members(("sensor", n)).T
+    times = hyperparameters.members(("time", s)).T
     of_steps = -2.0 * (residual * step)[:, :, None] * sizes - by_time[:, :, None] * times
     return of_steps, -2.0 * b[first][:, :, None] * sizes + back[first][:, :, None] * times

@@ -41,11 +41,7 @@ from tumble.inference.fits import (
 )
 from tumble.inference.hyperparameters import (
     LEAST_DEGREES,
-    CorrelationTime,
-    GroupSize,
     Hyperparameters,
-    InRunSize,
-    Scatter,
     average_information,
     derivatives,
     hyperparameters_of,
@@ -256,24 +252,24 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
         return best
     hyperparameters, starts = best.hyperparameters, list[tuple[float, Array]]()
     sizes = {h.name: float(h.value(p)) for h, p in zip(hyperparameters, best.phi, strict=True)}
-    absorbing = [h for h in hyperparameters if not (isinstance(h, CorrelationTime) or h.name in NOT_ABSORBING)]
+    absorbing = [h for h in hyperparameters if not (h.kind == "time" or h.name in NOT_ABSORBING)]
     far = [h for h in absorbing if sizes[h.name] > BEYOND * h.usual]
     share, turns = start.problem.bias_after, len(start.problem.before_turn) > 0
-    if any(isinstance(h, (Scatter, GroupSize)) for h in far):
+    if any(h.kind in {"scatter", "group"} for h in far):
         useless = [np.log(USELESS[h.name]) if h.name in USELESS else h.centre for h in hyperparameters]
         starts.append((share, np.array(useless)))
-    groups = np.array([isinstance(h, GroupSize) for h in hyperparameters], dtype=bool)
+    groups = np.array([h.kind == "group" for h in hyperparameters], dtype=bool)
     if far and groups.any():
         starts.append((share, np.where(groups, [WIDE * h.within for h in hyperparameters], hyperparameters.centre)))
     scatters = any(h.name in REST_SCATTER and sizes[h.name] > h.usual for h in hyperparameters)
-    if scatters or any(isinstance(h, InRunSize) for h in far):
+    if scatters or any(h.kind == "process" for h in far):
         anew = best.phi.copy()
         for i, h in enumerate(hyperparameters):
             if h.name in NOT_ABSORBING:
                 continue
-            if isinstance(h, CorrelationTime):
+            if h.kind == "time":
                 anew[i] = np.log(ANEW)
-            elif isinstance(h, InRunSize):
+            elif h.kind == "process":
                 anew[i] = np.log(np.hypot(sizes[h.name], sizes.get(h.name.removesuffix("_in_run"), 0.0)))
             elif h.name in REST_SCATTER:
                 anew[i] = h.centre

@@ -25,9 +25,6 @@ import scipy
 
 from tumble.inference.hyperparameters import (
     LEAST_DEGREES,
-    GroupSize,
-    InRunSize,
-    Scatter,
     hyperparameters_of,
     quadratic_forms,
 )
@@ -51,11 +48,11 @@ def with_expected_sizes(rows: Linearisation) -> Linearisation:
     usual, sizes_of_noise, products = problem.prior_u[1:], dict[str, Any](), _products(solution)
     hyperparameters = hyperparameters_of(problem, rows.noise, products > 0.0)
     for h, learned in zip(hyperparameters, quadratic_forms(hyperparameters, solution)[1].tolist(), strict=True):
-        if isinstance(h, Scatter):
+        if h.kind == "scatter":
             degrees = float(products[SCATTER.index(h.name)]) * h.usual**4
             if degrees > LEAST_DEGREES:
                 sizes_of_noise[h.name] = h.usual * _expected_scatter(degrees, of_turns=h.name in TURN_SCATTER)
-        elif isinstance(h, InRunSize) and solution.equations.wanders:
+        elif h.kind == "process" and solution.equations.wanders:
             ones = np.ones(len(np.arange(rows.noise.unknowns)[h.members]) * len(problem.chain))
             share = float(np.clip(learned / len(ones), 1e-6, 1.0 - 1e-6))
             factor = _expected_size(ones, (1.0 - share) * ones, h.within, two_sided=True)[0]
@@ -64,7 +61,7 @@ def with_expected_sizes(rows: Linearisation) -> Linearisation:
     for _ in range(ROUNDS):
         sizes, variances = problem.prior_u.copy(), np.diag(solve(rows.with_priors(problem), components).covariance)
         for h in hyperparameters:
-            if not isinstance(h, GroupSize):
+            if h.kind != "group":
                 continue
             s, size, v = usual[h.members], sizes[1:][h.members], variances[1:][h.members]
             v = 1.0 / (1.0 / v - 1.0 / size**2 + 1.0 / s**2)  # with a prior of the usual size
