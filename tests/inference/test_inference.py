@@ -131,7 +131,7 @@ def test_the_score_is_the_derivative_of_the_likelihood(name: str) -> None:
     gradient = score(entries, solution_at(at, entries, phi))
     kinds = dict[tuple[object, ...], list[int]]()
     for i, h in enumerate(entries):
-        key = (type(h),) if h.bounded else (type(h), h.name)
+        key = (h.kind,) if h.bounded else (h.kind, h.name)
         kinds.setdefault(key, []).append(i)
     some = [i for members in kinds.values() for i in (members[0], members[-1])]
     for i in sorted(set(some)):

@@ -91,8 +91,9 @@ class Hyperparameter:
 
     It is ln σ of a component of variance in SCATTER ("scatter"), ln σ or ln τ of a Gauss–Markov process ("process",
     "time"), or p of a factor λ = exp(max(p, 0)): on scatter at rest and in-run bias of one sensor ("sensor"), or on the
-    size of a group of common parameters ("group") or of those of each session ("local group"). `usual` is the quantity, SI, about which the prior is, `within` its standard deviation in the logarithm, and
-    `members` the components, sensors, states or parameters concerned."""
+    size of a group of common parameters ("group") or of those of each session ("local group"). `usual` is the quantity,
+    SI, about which the prior is, `within` its standard deviation in the logarithm, and `members` the components,
+    sensors, states or parameters concerned."""
 
     kind: Kind
     name: str
