@@ -297,10 +297,8 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
     # components of variance, whose usual value is the noise along their directions
     noise_along: list[list[Array]] = [[] for _ in SCATTER]
     for rows in noise.rows.values():
-        length, size = (
-            (rows.directions**2).sum(axis=1),
-            ((rows.covariance @ rows.directions) * rows.directions).sum(axis=1),
-        )
+        Z = rows.directions
+        length, size = (Z**2).sum(axis=1), ((rows.covariance @ Z) * Z).sum(axis=1)
         for number in set(rows.component.tolist()):
             at = (rows.component == number) & (length > 0.0)
             noise_along[number].append(size[at] / length[at] ** 2)
