@@ -451,7 +451,8 @@ def test_sizes_folded_into_a_triangle_are_those_of_the_whole_elimination(name: s
     every = triangles(fitted.linearisation, hyperparameters, phi[:1], members)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(phi[:, element])
     folded = Folded.of(every.information[0], every.right[0], sizes)
-    (alpha,), (gamma,), (omega,) = every.alpha, every.gamma, every.omega
+    own = slice(1 + len(fitted.problem.instrument.names))  # without the biases as means of their processes
+    alpha, gamma, omega = every.alpha[0, own], every.gamma[0, own], every.omega[0, own, own]
     for k in range(2):
         solution = solution_at(fitted.linearisation, hyperparameters, phi[k])
         step, covariance = solution.session_step, solution.session_covariance
