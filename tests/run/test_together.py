@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
-from tests.support.plain_rows import of_rests, plain_rows
+from tests.support.plain_rows import of_rests, plain_rows, with_residuals
 from tumble.cli import main
 from tumble.diagnosis.causes import LinearisedSession
 from tumble.diagnosis.misfit import misfit
@@ -269,8 +269,7 @@ def test_each_session_alone_knows_what_all_know() -> None:
     """With what the others say, parameters are as well known from one session as from all."""
     estimate = joint(together(device("mems", SHORT, seed=5), [ramp(t, t) for t in (0.0, 40.0)]), quick=True)
     assert estimate.linearised is not None
-    rows = estimate.linearised
-    nothing = np.zeros((*rows.rest.shape[:2], 1)), np.zeros((*rows.turn.shape[:2], 1))
+    nothing = [np.zeros((*residuals.shape, 1)) for residuals in estimate.linearised.residuals]
     known = np.array([each.u for each in projections(estimate.linearised, estimate.linearised.components, *nothing)])
     linear = estimate.instrument.linear_count if estimate.instrument is not None else 0
     np.testing.assert_allclose(known[:, :linear], np.broadcast_to(estimate.u[:linear], (2, linear)), rtol=0.05)
@@ -282,15 +281,14 @@ def test_a_cause_is_named_in_the_session_it_is_in() -> None:
     estimate = joint(observations, quick=True)
     assert estimate.linearised is not None
     rows, (_, part) = estimate.linearised, estimate.linearised.problem.parts
-    N, K, last = len(rows.rest), len(rows.turn), part.rests.start + 6
+    (N, _), (K, _), last = *(residuals.shape for residuals in rows.residuals), part.rests.start + 6
     at_rest = 50.0 * DEGREE_PER_HOUR * np.outer((np.arange(N) > last) & (np.arange(N) < part.rests.stop), np.ones(3))
     turns = np.arange(K)[:, None]
     first = part.turns.start + 6
     in_turn = 50.0 * DEGREE_PER_HOUR * np.where(turns > first, 1.0, 0.5 * (turns == first)) * np.ones((K, 3))
     rest, turn = LinearisedSession(estimate.linearised).bias_columns("gyro", at_rest, in_turn[:, None])
-    jumping = replace(rows, rest=rows.rest.copy(), turn=rows.turn.copy())
-    jumping.rest[..., -1] += rest.sum(axis=2)
-    jumping.turn[..., -1] += turn.sum(axis=2)
+    residuals = (r + columns.sum(axis=2) for r, columns in zip(rows.residuals, (rest, turn), strict=True))
+    jumping = with_residuals(rows, *residuals)
     found = misfit(replace(estimate, linearised=jumping))
     (said,) = [each.sentence for each in found if "jump" in each.sentence]
     assert "session-2: " in said
@@ -309,7 +307,7 @@ def test_each_session_with_what_the_others_say_knows_what_all_know_and_a_warm_up
     assert linearised is not None
     assert estimate.instrument is not None
     linear = estimate.instrument.linear_count
-    nothing = [np.zeros((*rows.shape[:2], 1)) for rows in (linearised.rest, linearised.turn)]
+    nothing = [np.zeros((*residuals.shape, 1)) for residuals in linearised.residuals]
     known = np.array([each.u[:linear] for each in projections(linearised, linearised.components, *nothing)])
     whole = np.sqrt(diagnostic_solution(linearised, linearised.components).covariance.diagonal())[1 : 1 + linear]
     np.testing.assert_allclose(known, np.broadcast_to(whole, (2, linear)), rtol=0.05)
