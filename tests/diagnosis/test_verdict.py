@@ -20,6 +20,7 @@ import pytest
 from pydantic import TypeAdapter
 
 from tests.support import study
+from tests.support.plain_rows import of_rests, plain_rows, with_residuals
 from tests.support.shared import copy_of, session
 from tumble.diagnosis.causes import memory_lag
 from tumble.diagnosis.findings import causes_of
@@ -370,11 +371,11 @@ def test_a_projection_is_that_of_all_unknowns_at_once() -> None:
     estimate = joint(replace(estimated("none")[1], usual={}))
     linearised = estimate.linearised
     assert linearised is not None
-    problem, rows = linearised.problem, linearised
+    problem, rows = linearised.problem, plain_rows(linearised)
     rng, (N, r), (K, t) = np.random.default_rng(2), rows.rest.shape[:2], rows.turn.shape[:2]
     rest, turn = rng.normal(0.0, 1e-4, (N, r, 2)), rng.normal(0.0, 1e-4, (K, t, 2))
-    equations, p = solve(linearised, NO_COMPONENTS).equations, len(rows.prior) - 1
-    W_rest, W_turn = equations.rest_whitening, equations.turn_whitening
+    W, prior = solve(linearised, NO_COMPONENTS).equations.whitening, linearised.prior
+    W_rest, W_turn, p = of_rests(W), W["turn"], len(prior) - 1
     A = np.zeros((N * r + K * t + p, 3 * N + p + 3))
     for i in range(N):
         A[i * r : (i + 1) * r, 3 * i : 3 * i + 3] = W_rest[i] @ rows.rest[i, :, :3]
@@ -383,7 +384,7 @@ def test_a_projection_is_that_of_all_unknowns_at_once() -> None:
         own = slice(N * r + k * t, N * r + (k + 1) * t)
         A[own, 3 * i : 3 * i + 6] = W_turn[k] @ rows.turn[k, :, :6]
         A[own, 3 * N :] = W_turn[k] @ np.hstack([rows.turn[k, :, 6:-1], turn[k], rows.turn[k, :, -1:]])
-    A[-p:, 3 * N : 3 * N + p], A[-p:, -1] = rows.prior[:-1, :-1], rows.prior[:-1, -1]
+    A[-p:, 3 * N : 3 * N + p], A[-p:, -1] = prior[:-1, :-1], prior[:-1, -1]
     A = np.delete(np.delete(A, -p, axis=0), 3 * N, axis=1)  # gravity, which is exact here
     unknowns, columns, residual = A[:, :-3], A[:, -3:-1], A[:, -1]
     Q, R = np.linalg.qr(unknowns)
@@ -413,10 +414,8 @@ def test_the_rate_along_north_is_predicted_at_rest_and_in_the_turns() -> None:
     problem = linearised.problem
     still = replace(problem, earth=problem.earth * np.array([0.0, 1.0, 1.0]))
     without = linearise(still, linearised.point, linearised.about)
-    for found, there, here in zip(
-        north_rate_columns(linearised), (without.rest, without.turn), (linearised.rest, linearised.turn), strict=True
-    ):
-        expected = there[..., -1] - here[..., -1]
+    for found, there, here in zip(north_rate_columns(linearised), without.residuals, linearised.residuals, strict=True):
+        expected = there - here
         assert np.abs(expected).max() > 0.0
         for rows in (slice(0, 3), slice(3, 6)):
             np.testing.assert_allclose(found[:, rows], expected[:, rows], atol=0.05 * np.abs(expected[:, rows]).max())
@@ -428,11 +427,9 @@ def test_a_cause_that_is_put_in_comes_out() -> None:
     linearised = estimate.linearised
     assert linearised is not None
     rows, rng = linearised, np.random.default_rng(1)
-    rest, turn = (rng.normal(0.0, 1e-4, (*each.shape[:2], 2)) for each in (rows.rest, rows.turn))
+    rest, turn = (rng.normal(0.0, 1e-4, (*each.shape, 2)) for each in rows.residuals)
     values = np.array([1.0, -0.5])
-    shifted = replace(rows, rest=rows.rest.copy(), turn=rows.turn.copy())
-    shifted.rest[..., -1] += rest @ values
-    shifted.turn[..., -1] += turn @ values
+    shifted = with_residuals(rows, *(r + c @ values for r, c in zip(rows.residuals, (rest, turn), strict=True)))
     before = _projected(estimate, rest, turn).fit(slice(0, 2))
     after = _projected(replace(estimate, linearised=shifted), rest, turn)
     found = after.fit(slice(0, 2))

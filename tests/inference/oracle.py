@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.support.plain_rows import covariances, directions, plain_rows
 from tumble.units import Array
 
 TIMES = ("accel_time", "gyro_time")
@@ -46,28 +47,28 @@ class Dense:
 def dense(problem: Any, rows: Any, noise: Any, components: Any, priors: tuple[Array, Array]) -> Dense:
     """By the rows at a linearisation, the parts of their noise, the components of variance, and `priors`, standard
     deviations and expected values less those of the point, of x."""
-    N, K, n = len(rows.rest), len(rows.turn), problem.sensors
-    r, t, q = rows.rest.shape[1], rows.turn.shape[1], len(problem.local_u)
-    session, before = problem.of_session
+    plain, bias, session = plain_rows(rows), rows.bias, problem.session
+    N, K, n = len(plain.rest), len(plain.turn), problem.sensors
+    r, t, q = plain.rest.shape[1], plain.turn.shape[1], len(problem.local_u)
     after = problem.bias_after
-    p, S, M = rows.rest.shape[2] - 4 - q, len(problem.parts), N * r + K * t
+    p, S, M = plain.rest.shape[2] - 4 - q, len(problem.parts), N * r + K * t
     A, X, B, y = np.zeros((M, 3 * N)), np.zeros((M, S * q + p)), np.zeros((M, n, N)), np.zeros(M)
     base, D = np.zeros((M, M)), dict[tuple[str, int], Array]()
     names = ("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart")
     first = problem.before_turn
     blocks = [("rest", i, slice(i * r, i * r + r), i, 3, session[i]) for i in range(N)]
-    blocks += [("turn", k, slice(N * r + k * t, N * r + k * t + t), first[k], 6, before[k]) for k in range(K)]
+    blocks += [("turn", k, slice(N * r + k * t, N * r + k * t + t), first[k], 6, session[first[k]]) for k in range(K)]
+    of_noise = dict(zip(("rest", "turn"), zip(covariances(noise), directions(noise), strict=True), strict=True))
     for kind, k, own, i, wide, s in blocks:
-        row = getattr(rows, kind)[k]
+        row, (N_of_kind, (Z, of)) = getattr(plain, kind)[k], of_noise[kind]
         A[own, 3 * i : 3 * i + wide], y[own] = row[:, :wide], row[:, -1]
         X[own, S * q :], X[own, s * q : s * q + q] = row[:, wide : wide + p], row[:, wide + p : -1]
         if kind == "rest":
             B[own, :, i] = np.eye(r, n)
         else:
-            B[own, :, i] += (1.0 - after) * rows.bias[k]
-            B[own, :, i + 1] += after * rows.bias[k]
-        base[own, own] = getattr(noise, kind)[k]
-        Z, of = getattr(noise, f"{kind}_directions")
+            B[own, :, i] += (1.0 - after) * bias[k]
+            B[own, :, i + 1] += after * bias[k]
+        base[own, own] = N_of_kind[k]
         for c, component in enumerate(of.tolist()):
             key = names[component], c if kind == "rest" else -1
             D.setdefault(key, np.zeros((M, M)))[own, own] += np.outer(Z[k][:, c], Z[k][:, c])

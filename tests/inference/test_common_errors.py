@@ -164,7 +164,7 @@ def test_the_noise_of_a_turn_is_a_covariance_however_unlike_its_gyros_are(noise:
     instrument = Instrument.of(observations.accel_block, observations.gyro_block, observations.usual)
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     at = initial_linearisation(problem)
-    found = at.noise.turn
+    found = at.noise.rows["turn"].covariance
     size = np.sqrt(np.diagonal(found, axis1=1, axis2=2))
     assert np.linalg.eigvalsh(found / size[:, :, None] / size[:, None, :]).min() > 0.0
 

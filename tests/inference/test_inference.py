@@ -14,18 +14,14 @@ import pytest
 
 import tumble
 from tests.support import study
+from tests.support.plain_rows import covariances as noise_covariances
+from tests.support.plain_rows import directions, plain_rows
 from tests.support.wandering_biases import middles
 from tumble.diagnosis.verdict import verdict
 from tumble.inference import joint as of_joint
 from tumble.inference.fits import sigmas
 from tumble.inference.hyperparameters import (
-    CorrelationTime,
-    GroupSize,
     Hyperparameter,
-    InRunSize,
-    LocalGroupSize,
-    Scatter,
-    SensorFactor,
     score,
     solution_at,
 )
@@ -135,7 +131,7 @@ def test_the_score_is_the_derivative_of_the_likelihood(name: str) -> None:
     gradient = score(entries, solution_at(at, entries, phi))
     kinds = dict[tuple[object, ...], list[int]]()
     for i, h in enumerate(entries):
-        key = (type(h),) if h.bounded else (type(h), h.name)
+        key = (h.kind,) if h.bounded else (h.kind, h.name)
         kinds.setdefault(key, []).append(i)
     some = [i for members in kinds.values() for i in (members[0], members[-1])]
     for i in sorted(set(some)):
@@ -148,10 +144,10 @@ def test_the_score_is_the_derivative_of_the_likelihood(name: str) -> None:
 def test_the_score_is_the_derivative_with_rows_that_count_less_and_rows_left_out() -> None:
     """By central differences, with the weights of a robust fit; what is left out shows nothing of any scatter."""
     at, rng = started(observed(by_hand())), np.random.default_rng(0)
-    rest, turn = (rng.uniform(0.3, 1.0, w.shape) for w in (at.noise.rest_weights, at.noise.turn_weights))
-    rest[3], turn[5] = 1e-3, 1e-3
+    weights = {kind: rng.uniform(0.1, 1.0, len(w)) for kind, w in at.noise.weights.items()}
+    weights["accel"][3], weights["turn"][5] = 1e-6, 1e-6
     entries, step = maximise(at, iterations=1).hyperparameters, 1e-4
-    at, phi = replace(at, noise=at.noise.weighted(rest, turn, at.noise.link_weights)), away_from_bounds(entries)
+    at, phi = replace(at, noise=at.noise.weighted(weights)), away_from_bounds(entries)
     here = solution_at(at, entries, phi)
     gradient = score(entries, here)
     for i, h in enumerate(entries):
@@ -164,11 +160,10 @@ def test_the_score_is_the_derivative_with_rows_that_count_less_and_rows_left_out
 def test_sessions_of_the_score_have_every_kind_of_hyperparameter() -> None:
     """Of scatter all eight, and of the others every kind."""
     found = [h for make in SESSIONS.values() for h in maximise(started(make()), iterations=1).hyperparameters]
-    assert {h.name for h in found if isinstance(h, Scatter)} == {
+    assert {h.name for h in found if h.kind == "scatter"} == {
         *("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart")
     }
-    every = {Scatter, InRunSize, CorrelationTime, SensorFactor, GroupSize, LocalGroupSize}
-    assert {type(h) for h in found} == every
+    assert {h.kind for h in found} == {"scatter", "process", "time", "sensor", "group", "local group"}
 
 
 # -------------------- the elimination --------------------
@@ -200,19 +195,17 @@ def everything_at_once(at: Linearisation, components: VarianceComponents) -> tup
     """By ordinary weighted least squares with biases of every rest whose covariance is σ² exp(−|Δt|/τ), written down:
     estimates and covariance of the angles of all rests, of gravity and the parameters, and of the biases (SI) rest by
     rest, and twice the negative logarithm of the restricted likelihood."""
-    problem, rows, noise = at.problem, at, at.noise
+    problem, rows, noise, plain = at.problem, at, at.noise, plain_rows(at)
     observations = problem.observations
-    turns, n, N = observations.turns, problem.sensors, len(rows.rest)
+    turns, n, N = observations.turns, problem.sensors, len(plain.rest)
     assert turns is not None
     p = len(rows.prior) - 1
     lines, residual, determinant = [], [], 0.0
-    for which, own, directions in (
-        ("rest", rows.rest, noise.rest_directions),
-        ("turn", rows.turn, noise.turn_directions),
+    for which, own, N_of_kind, (Z, of) in zip(
+        ("rest", "turn"), (plain.rest, plain.turn), noise_covariances(noise), directions(noise), strict=True
     ):
-        Z, of = directions
         for k, row in enumerate(own):
-            V = getattr(noise, which)[k] + (Z[k] * components.variances[of]) @ Z[k].T
+            V = N_of_kind[k] + (Z[k] * components.variances[of]) @ Z[k].T
             L = np.linalg.cholesky(V)
             determinant += np.linalg.slogdet(V)[1]
             i, wide = (k, 3) if which == "rest" else (int(turns.first[k]), 6)
@@ -230,7 +223,7 @@ def everything_at_once(at: Linearisation, components: VarianceComponents) -> tup
     information[inside, inside] += prior[:, :-1].T @ prior[:, :-1]
     right[inside] += prior[:, :-1].T @ prior[:, -1]
     time, file = middles(observations), observations.rests.file
-    sigma, tau = components.in_run(problem.instrument.accel.size, n - problem.instrument.accel.size)
+    sigma, tau = components.of_states(problem.instrument.accel.size, n - problem.instrument.accel.size)
     for s in range(n):
         C = sigma[s] ** 2 * np.exp(-np.abs(time[:, None] - time) / tau[s]) * (file[:, None] == file)
         states = 3 * N + p + s + n * np.arange(N)
@@ -266,10 +259,10 @@ def test_states_of_biases_are_those_of_everything_at_once(cut: bool) -> None:
     problem, step = at.problem, solve(at, IN_RUN)
     values, covariance, deviance = everything_at_once(at, IN_RUN)
     again, _, other = everything_at_once(at, replace(IN_RUN, gyro_time=100.0, turn=5e-5))
-    N, n, p = len(problem.link), problem.sensors, len(at.prior) - 1
+    N, n, p = len(problem.chain), problem.sensors, len(at.prior) - 1
     u = np.sqrt(np.diag(covariance))
     inside, states = slice(3 * N, 3 * N + p), slice(3 * N + p, None)
-    sigma, _ = IN_RUN.in_run(3, 3)
+    sigma, _ = IN_RUN.of_states(3, 3)
     assert step.parameters / u[inside] == pytest.approx(values[inside] / u[inside], abs=1e-4, rel=1e-5)
     size = np.outer(u[inside], u[inside])
     np.testing.assert_allclose(step.covariance / size, covariance[inside, inside] / size, atol=1e-5)
@@ -383,7 +376,7 @@ def test_the_farthest_of_many_rests_is_no_outlier() -> None:
     codes = [position.attitude for position in programme("rough-table").positions]
     setup = replace(Setup.of(grade="tactical"), programme=from_attitudes(codes * 16))
     fitted = fitted_of(observed(scenario_of(setup, np.random.default_rng(1)), 1))
-    assert 3.0 < np.concatenate(sigmas(fitted.solution)).max() < 3.7
+    assert 3.0 < np.concatenate(list(sigmas(fitted.solution).values())).max() < 3.7
     assert without_outliers(fitted) is fitted
 
 
@@ -451,14 +444,15 @@ def test_sizes_folded_into_a_triangle_are_those_of_the_whole_elimination(name: s
     """ℓ, step and covariance, biases being those of the session, at two sizes of groups that share a triangle."""
     fitted = fitted_of(SESSIONS[name]())
     hyperparameters = fitted.hyperparameters
-    groups = np.array([i for i, h in enumerate(hyperparameters) if isinstance(h, GroupSize)])
+    groups = np.array([i for i, h in enumerate(hyperparameters) if h.kind == "group"])
     phi = np.tile(away_from_bounds(hyperparameters), (2, 1))
     phi[1, groups] += 0.7
     members, element = members_of(fitted, groups)
     every = triangles(fitted.linearisation, hyperparameters, phi[:1], members)
     sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(phi[:, element])
     folded = Folded.of(every.information[0], every.right[0], sizes)
-    (alpha,), (gamma,), (omega,) = every.alpha, every.gamma, every.omega
+    own = slice(1 + len(fitted.problem.instrument.names))  # without the biases as means of their processes
+    alpha, gamma, omega = every.alpha[0, own], every.gamma[0, own], every.omega[0, own, own]
     for k in range(2):
         solution = solution_at(fitted.linearisation, hyperparameters, phi[k])
         step, covariance = solution.session_step, solution.session_covariance

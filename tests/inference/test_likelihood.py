@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from tests.support.formula_setup import device_setup
+from tests.support.plain_rows import of_rests, plain_rows
 from tumble.inference.elimination import fold
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, inverse_left_jacobian, linearise
 from tumble.inference.maximum import heading_information
 from tumble.inference.noise import NO_COMPONENTS, VarianceComponents
-from tumble.inference.normal_equations import solve
+from tumble.inference.normal_equations import Solution, solve
 from tumble.inference.problem import NO_PRIOR, Point, Prior, Problem, bases
 from tumble.planning.setup import Setup
 from tumble.programme.positions import programme
@@ -83,11 +84,13 @@ def test_jacobians_are_derivatives(axes: Array, ordered: bool, full: bool) -> No
     chosen = scenario(axes, setup=replace(SETUP, programme=listed), full=full)
     problem, point, about = problem_at(chosen, 0.05, Prior(parameters={"gyro.scale.1": 1e-3}, attitude=0.1))
     rows = linearise(problem, point, about)
+    plain = plain_rows(rows)
     N, p = len(point.attitudes), 1 + len(point.values)
 
     def residuals(parameters: Array, angles: Array) -> tuple[Array, Array, Array]:
         found = linearise(problem, turned(point, parameters, angles), about)
-        return found.rest[:, :, -1], found.turn[:, :, -1], found.prior[:-1, -1]
+        plain = plain_rows(found)
+        return plain.rest[:, :, -1], plain.turn[:, :, -1], found.prior[:-1, -1]
 
     step = 1e-4
     sizes = np.append(1.0, np.minimum(limits_of(chosen.names) * 10.0, 1.0))
@@ -97,9 +100,9 @@ def test_jacobians_are_derivatives(axes: Array, ordered: bool, full: bool) -> No
         by_one = sizes[c] * step * np.eye(p)[c]
         forward, backward = (residuals(sign * by_one, np.zeros((N, 3))) for sign in (1.0, -1.0))
         by = [-(f - b) / (2.0 * step) for f, b in zip(forward, backward, strict=True)]
-        assert_close(by[0], sizes[c] * rows.rest[:, :, 3 + c])
-        assert_close(by[1][:, :3], sizes[c] * rows.turn[:, :3, 6 + c])
-        assert_close(by[1][:, 3:], sizes[c] * rows.turn[:, 3:, 6 + c])
+        assert_close(by[0], sizes[c] * plain.rest[:, :, 3 + c])
+        assert_close(by[1][:, :3], sizes[c] * plain.turn[:, :3, 6 + c])
+        assert_close(by[1][:, 3:], sizes[c] * plain.turn[:, 3:, 6 + c])
         assert_close(by[2], sizes[c] * rows.prior[:-1, c])
     turns = problem.observations.turns
     assert turns is not None
@@ -110,10 +113,10 @@ def test_jacobians_are_derivatives(axes: Array, ordered: bool, full: bool) -> No
             angles[odd::2, c] = step
             forward, backward = residuals(np.zeros(p), angles), residuals(np.zeros(p), -angles)
             by = [-(f - b) / (2.0 * step) for f, b in zip(forward, backward, strict=True)]
-            assert_close(by[0][odd::2], rows.rest[odd::2, :, c])
+            assert_close(by[0][odd::2], plain.rest[odd::2, :, c])
             first = turns.first % 2 == odd
-            assert_close(by[1][first], rows.turn[first, :, c])
-            assert_close(by[1][~first], rows.turn[~first, :, 3 + c])
+            assert_close(by[1][first], plain.turn[first, :, c])
+            assert_close(by[1][~first], plain.turn[~first, :, 3 + c])
 
 
 def turned(point: Point, parameters: Array, angles: Array) -> Point:
@@ -165,9 +168,9 @@ def test_the_jacobian_of_rotation_vectors_is_that_of_differences(angle: float) -
 def dense(rows: Linearisation, scatter: VarianceComponents) -> tuple[Array, Array, list[tuple[str, int]]]:
     """All whitened rows over all unknowns at once: angles of rest 0, 1, …, then the parameters; and which they are, the
     rows of a rest or of a turn."""
-    (W_rest, W_turn, _), turns = rows.noise.at(scatter).whitening(), rows.problem.observations.turns
+    W, turns = rows.noise.at(scatter).whitening(), rows.problem.observations.turns
     assert turns is not None
-    rest, turn = W_rest @ rows.rest, W_turn @ rows.turn
+    rest, turn = of_rests(W) @ plain_rows(rows).rest, W["turn"] @ plain_rows(rows).turn
     N, p = len(rest), len(rows.prior) - 1
     lines, right, which = [], [], []
     every = (("rest", rest, range(N), 3), ("turn", turn, turns.first.tolist(), 6))
@@ -183,6 +186,12 @@ def dense(rows: Linearisation, scatter: VarianceComponents) -> tuple[Array, Arra
     return np.concatenate([*lines, block]), np.concatenate([*right, rows.prior[:, -1]]), which
 
 
+def rest_residuals(step: Solution) -> tuple[Array, Array]:
+    """Whitened residuals (N, r) of all rows of the rests, and their covariances by kind (N, r, r)."""
+    kinds = [step.residuals[kind] for kind in ("accel", "gyro")]
+    return np.concatenate([r for r, _ in kinds], axis=1), of_rests({k: step.residuals[k][1] for k in ("accel", "gyro")})
+
+
 @pytest.mark.parametrize("axes", [np.eye(3), PYRAMID], ids=["triad", "pyramid"])
 @pytest.mark.parametrize("only_programmed", [False, True], ids=["one chain", "several chains"])
 def test_elimination_is_least_squares(axes: Array, only_programmed: bool) -> None:
@@ -195,7 +204,7 @@ def test_elimination_is_least_squares(axes: Array, only_programmed: bool) -> Non
         assert observations.turns is not None
         problem = Problem.of(observations)
         about = IntegratedTurns.of(observations, problem.instrument, point.values)
-        assert np.sum(problem.link < 0) == 6
+        assert problem.chain[-1] == 5
     rows, scatter = linearise(problem, point, about), VarianceComponents(accel=1e-5, gyro=1e-8, turn=1e-6)
     step = solve(rows, scatter)
     jacobian, residual, which = dense(rows, scatter)
@@ -215,14 +224,16 @@ def test_elimination_is_least_squares(axes: Array, only_programmed: bool) -> Non
         rtol=0.0,
         atol=1e-7,
     )
-    found = {"rest": step.rest_residuals, "turn": step.turn_residuals}
+    found = {"rest": rest_residuals(step), "turn": step.residuals["turn"]}
+    within = of_rests({kind: np.ones((1, len(axes), len(axes))) for kind in ("accel", "gyro")})[0]
     after, projected = residual - Q @ (Q.T @ residual), np.eye(len(Q)) - Q @ Q.T
     at = 0
     for kind, k in which:
         found_residual, found_covariance = (part[k] for part in found[kind])
         own = slice(at, at := at + len(found_residual))
         np.testing.assert_allclose(found_residual, after[own], rtol=1e-6, atol=1e-5)
-        np.testing.assert_allclose(found_covariance, projected[own, own], rtol=0.0, atol=1e-6)
+        expected = projected[own, own] * (within if kind == "rest" else 1.0)
+        np.testing.assert_allclose(found_covariance, expected, rtol=0.0, atol=1e-6)
 
 
 def test_a_free_heading_takes_no_information() -> None:
@@ -243,10 +254,12 @@ def test_a_free_heading_takes_no_information() -> None:
     m = len(u)
     far = np.abs(by_all[-m:] / u).max()  # the step is many sigmas long
     np.testing.assert_allclose(step.parameters[1:] / u, by_all[-m:] / u, rtol=0.0, atol=1e-6 * far)
-    covariances = {"rest": step.rest_residuals[1], "turn": step.turn_residuals[1]}
+    covariances = {"rest": rest_residuals(step)[1], "turn": step.residuals["turn"][1]}
     freedom = sum(float(np.trace(covariances[kind][k])) for kind, k in which)
     # the row of gravity is not among them, and no data show it; the priors of the parameters take next to nothing
-    assert freedom == pytest.approx(len(rows.rest) * 6 + 3 * len(rows.turn) + 1 - (3 * 15 - 1) - (m + 1), abs=1e-3)
+    assert freedom == pytest.approx(
+        len(point.attitudes) * 6 + 3 * len(rows.rows["turn"]) + 1 - (3 * 15 - 1) - (m + 1), abs=1e-3
+    )
 
 
 # -------------------- the published bound --------------------
@@ -273,10 +286,10 @@ def test_rests_and_turns_say_of_a_heading_by_how_much_their_rows_change_with_it(
     angles[:, 2] = turn
     here, there = (linearise(problem, p, about) for p in (point, point.moved(np.zeros(1 + len(point.values)), angles)))
     found = heading_information(solve(here))
-    W_rest, W_turn, _ = here.noise.whitening()
+    W, here_rows, there_rows = here.noise.whitening(), plain_rows(here), plain_rows(there)
     first = problem.observations.turns.first  # type: ignore[union-attr]
-    at_rest = W_rest @ (there.rest - here.rest)[..., -1:] / turn
-    in_turns = W_turn @ (there.turn - here.turn)[..., -1:] / turn
+    at_rest = of_rests(W) @ (there_rows.rest - here_rows.rest)[..., -1:] / turn
+    in_turns = W["turn"] @ (there_rows.turn - here_rows.turn)[..., -1:] / turn
     expected = (at_rest**2).sum(axis=(1, 2))
     expected[first] += (in_turns**2).sum(axis=(1, 2))
     np.testing.assert_allclose(found, expected, rtol=1e-3)
@@ -289,7 +302,7 @@ def test_velocities_scatter_across_the_vertical_of_the_point_however_wrong_the_r
     turns = problem.observations.turns
     assert turns is not None
     noise = linearise(problem, point, about).noise
-    of_velocity = noise.turn[:, 3:6, 3:6] - turns.velocity_covariance
+    of_velocity = noise.rows["turn"].covariance[:, 3:6, 3:6] - turns.velocity_covariance
     by_gyros = (point.gravity * turns.duration) ** 2 * np.trace(turns.covariance, axis1=1, axis2=2) / 9.0
     east, up = (
         np.einsum("ki,kij,kj->k", e, of_velocity, e) for e in np.moveaxis(point.attitudes[turns.first], 1, 0)[[2, 1]]
@@ -313,7 +326,7 @@ def test_noise_of_nothing_is_no_scatter() -> None:
     problem, point, about = problem_at(scenario(setup=replace(SETUP, noise=NoiseModel(accel_white=1e-3))), 0.0)
     rows = linearise(problem, point, about)
     variance = 1e-6 / 120.0
-    np.testing.assert_allclose(rows.noise.whitening()[0][:, 0, 0], variance**-0.5, rtol=1e-6)
+    np.testing.assert_allclose(rows.noise.whitening()["accel"][:, 0, 0], variance**-0.5, rtol=1e-6)
 
 
 def test_other_chains_are_refused() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.inference.test_inference import by_hand, fitted_of, observed, two_sessions, without_gyros
+from tests.support.plain_rows import directions, with_residuals
 from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
 from tumble.inference.maximum import Maximum, without_outliers
@@ -70,8 +71,7 @@ def test_the_sources_are_the_covariance(name: str) -> None:
     fitted = fitted_of((SESSIONS | OTHERS)[name]())
     if name == "an outlier":
         fitted = without_outliers(fitted)
-        noise = fitted.linearisation.noise
-        assert noise.rest_weights.min() < 1.0 or noise.turn_weights.min() < 1.0
+        assert min(weight.min() for weight in fitted.linearisation.noise.weights.values()) < 1.0
     problem, step = fitted.problem, fitted.solution
     expected = step.covariance.copy()
     if step.equations.wanders and len(problem.parts) == 1:
@@ -134,27 +134,27 @@ class OneSource:
         kind, _, what = source.partition(".")
         if what == "noise" and kind in ("accel", "gyro"):
             own = slice(n) if kind == "accel" else slice(n, problem.sensors)
-            yield from self._by_rows(noise.rest[:, own, own], "rest", own)
+            yield from self._by_rows(noise.rows[kind].covariance, "rest", own)
         elif source == "turn.accel.noise":
             assert problem.observations.turns is not None
             yield from self._by_rows(problem.observations.turns.velocity_covariance, "turn", slice(3, 6))
         elif source == "turn.gyro.noise":
-            turns, whole = problem.observations.turns, noise.turn.copy()
+            turns, whole = problem.observations.turns, noise.rows["turn"].covariance.copy()
             assert turns is not None
             if problem.instrument.in_velocities:
                 whole[:, 3:6, 3:6] -= turns.velocity_covariance
             yield from self._by_rows(whole, "turn", slice(None))
         elif what == "scatter":
             size, place = getattr(self.components, kind), SCATTER.index(kind)
-            for (Z, of), out in zip(noise.directions, ("rest", "turn"), strict=False):
+            for (Z, of), out in zip(directions(noise), ("rest", "turn"), strict=True):
                 along = size * Z[:, :, of == place]
                 yield from self._by_rows(along @ np.swapaxes(along, 1, 2), out, slice(None))
         elif what == "in_run":
             for biases in self._biases(kind):
                 rest, turn, _ = self._nothing()
-                rest[:, : problem.sensors, -1] = biases
+                rest[:, : problem.sensors] = biases
                 first = problem.before_turn
-                turn[..., -1] = (self.rows.bias @ (0.5 * (biases[first] + biases[first + 1]))[..., None])[..., 0]
+                turn[:] = (self.rows.bias @ (0.5 * (biases[first] + biases[first + 1]))[..., None])[..., 0]
                 truth = np.zeros(len(problem.prior_mean))
                 truth[1 + problem.biases] = biases.mean(axis=0)
                 yield self._estimated(rest=rest, turn=turn) - truth
@@ -167,9 +167,10 @@ class OneSource:
                 yield self._estimated(prior=prior)
 
     def _nothing(self) -> tuple[Array, Array, Array]:
-        """Rows of rests, turns and what is known beforehand, without any error."""
-        rest, turn, prior = self.rows.rest.copy(), self.rows.turn.copy(), self.rows.prior.copy()
-        rest[..., -1], turn[..., -1], prior[:, -1] = 0.0, 0.0, 0.0
+        """Residuals of rests and turns, and what is known beforehand, without any error."""
+        prior = self.rows.prior.copy()
+        prior[:, -1] = 0.0
+        rest, turn = map(np.zeros_like, self.rows.residuals)
         return rest, turn, prior
 
     def _by_rows(self, covariances: Array, of: str, own: slice) -> Iterator[Array]:
@@ -178,7 +179,7 @@ class OneSource:
         roots = vectors * np.sqrt(np.maximum(value, 0.0))[:, None, :]
         for i, k in np.argwhere(np.any(roots != 0.0, axis=1)):
             rows = dict(zip(("rest", "turn"), self._nothing(), strict=False))
-            rows[of][i, own, -1] = roots[i, :, k]
+            rows[of][i, own] = roots[i, :, k]
             yield self._estimated(**rows)
 
     def _biases(self, kind: str) -> Iterator[Array]:
@@ -203,7 +204,7 @@ class OneSource:
     def _estimated(self, **rows: Array) -> Array:
         """The step of gravity and the parameters, biases being those of the session."""
         every = dict(zip(("rest", "turn", "prior"), self._nothing(), strict=True)) | rows
-        step = solve(replace(self.rows, rest=every["rest"], turn=every["turn"], prior=every["prior"]))
+        step = solve(replace(with_residuals(self.rows, every["rest"], every["turn"]), prior=every["prior"]))
         out = step.parameters.copy()
         if step.equations.wanders:
             out[1 + self.problem.biases] += session_mean_bias(step.equations)[0] @ np.append(step.parameters, -1.0)

@@ -10,6 +10,7 @@ import pytest
 
 import tumble
 from tests.support.moving import G, Motion, Noise, Recording, lay, record
+from tests.support.plain_rows import plain_rows
 from tumble.diagnosis.verdict import unused_quiet_time
 from tumble.errors import InputError
 from tumble.inference.integrated_turns import IntegratedTurns
@@ -195,16 +196,16 @@ def test_rows_of_links_are_derivatives_of_their_residuals() -> None:
     observations = moving()
     problem = Problem.of(observations, instrument=instruments_of(observations)[0], usual=observations.usual)
     start, rng = initial_linearisation(problem), np.random.default_rng(1)
-    M, m, q = len(problem.link), len(problem.instrument.names), len(problem.local_u)
+    M, m, q = len(problem.chain), len(problem.instrument.names), len(problem.local_u)
     point = start.point.moved(
         np.append(1e-3, 1e-3 * problem.spread * rng.normal(size=m)), 1e-3 * rng.normal(size=(M, 3)),
         np.append(0.03 * rng.normal(size=3), np.zeros(q - 3))[None], 0.1 * rng.normal(size=(M, 3)), np.zeros((M, 3)),
     )  # fmt: skip
     about = IntegratedTurns.of(observations, problem.instrument, point.values)
-    rows, n = linearise(problem, point, about), 6
+    rows, n = plain_rows(linearise(problem, point, about)), 6
 
     def residuals(at: Point) -> Array:
-        return np.asarray(linearise(problem, at, about).link[:, :, -1])
+        return np.asarray(linearise(problem, at, about).rows["link"][:, :, -1])
 
     def moved(parameters: Array, angles: Array, local: Array, velocities: Array) -> Array:
         """By how much the predictions move, by central differences."""
@@ -246,10 +247,10 @@ def test_a_heading_changes_nothing_where_the_place_is_unknown() -> None:
     problem = Problem.of(observations, instrument=instruments_of(observations)[0], usual=observations.usual)
     here = initial_linearisation(problem)
     turned = here.point.moved(
-        np.zeros(1 + len(here.point.values)), np.tile([0.0, 0.0, 0.7], (len(problem.link), 1)),
+        np.zeros(1 + len(here.point.values)), np.tile([0.0, 0.0, 0.7], (len(problem.chain), 1)),
     )  # fmt: skip
     there = linearise(problem, turned, here.about)
-    np.testing.assert_allclose(there.link[:, :, -1], here.link[:, :, -1], atol=1e-9)
+    np.testing.assert_allclose(there.rows["link"][:, :, -1], here.rows["link"][:, :, -1], atol=1e-9)
 
 
 TACTICAL = Noise(accel=5e-4, gyro=np.radians(8e-4), accel_in_run=1e-4, gyro_in_run=np.radians(1.0 / 3600.0))

@@ -13,6 +13,7 @@ import polars as pl
 import pytest
 from click.testing import CliRunner
 
+from tests.support.plain_rows import of_rests, plain_rows, with_residuals
 from tumble.cli import main
 from tumble.diagnosis.causes import LinearisedSession
 from tumble.diagnosis.misfit import misfit
@@ -123,7 +124,7 @@ def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences
     point = somewhere(problem)
     observations, m = problem.observations, len(point.values)
     about = IntegratedTurns.of(observations, problem.instrument, point.values, problem.coefficient_changes(point))
-    rows = linearise(problem, point, about)
+    rows = plain_rows(linearise(problem, point, about))
     size = np.concatenate([problem.prior_u[1:], problem.local_u])
     thermal = [i for i, name in enumerate(problem.instrument.names) if name.rpartition(".")[2] in ("t1", "t2")]
     thermal += [i for i, name in enumerate(problem.instrument.names) if name.endswith("hysteresis")]
@@ -131,7 +132,9 @@ def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences
     for i in [*thermal, *range(m, m + len(problem.local_u))]:
         step = 1e-3 * size[i] * np.eye(len(size))[i]
         ends = [
-            linearise(problem, replace(point, values=point.values + d[:m], local=point.local + d[m:]), about)
+            plain_rows(
+                linearise(problem, replace(point, values=point.values + d[:m], local=point.local + d[m:]), about)
+            )
             for d in (step, -step)
         ]
         for which, first in (("rest", 3), ("turn", 6)):
@@ -145,14 +148,14 @@ def test_rows_of_temperature_and_of_each_session_are_those_of_finite_differences
 def dense(problem: Problem, point: Point) -> Array:
     """The covariance of gravity and the parameters by ordinary least squares of everything at once."""
     rows = linearise(problem, point, IntegratedTurns.of(problem.observations, problem.instrument, point.values))
-    W_rest, W_turn, _ = rows.noise.whitening()
+    W, plain = rows.noise.whitening(), plain_rows(rows)
     turns = problem.observations.turns
     assert turns is not None
-    N, m, q, S = len(problem.link), len(point.values), len(problem.local_u), len(problem.parts)
+    N, m, q, S = len(problem.chain), len(point.values), len(problem.local_u), len(problem.parts)
     blocks = []
-    every = (W_rest @ rows.rest, np.arange(N), 3), (W_turn @ rows.turn, turns.first, 6)
-    for place, (found, first, wide) in enumerate(every):
-        for own, i, s in zip(found, first, problem.of_session[place], strict=True):
+    every = (of_rests(W) @ plain.rest, np.arange(N), 3), (W["turn"] @ plain.turn, turns.first, 6)
+    for found, first, wide in every:
+        for own, i, s in zip(found, first, problem.session[first], strict=True):
             block = np.zeros((len(own), 3 * N + S * q + 1 + m))
             block[:, 3 * i : 3 * i + wide], block[:, 3 * N + S * q :] = own[:, :wide], own[:, wide : wide + 1 + m]
             block[:, 3 * N + s * q : 3 * N + (s + 1) * q] = own[:, wide + 1 + m : -1]
@@ -266,8 +269,7 @@ def test_each_session_alone_knows_what_all_know() -> None:
     """With what the others say, parameters are as well known from one session as from all."""
     estimate = joint(together(device("mems", SHORT, seed=5), [ramp(t, t) for t in (0.0, 40.0)]), quick=True)
     assert estimate.linearised is not None
-    rows = estimate.linearised
-    nothing = np.zeros((*rows.rest.shape[:2], 1)), np.zeros((*rows.turn.shape[:2], 1))
+    nothing = [np.zeros((*residuals.shape, 1)) for residuals in estimate.linearised.residuals]
     known = np.array([each.u for each in projections(estimate.linearised, estimate.linearised.components, *nothing)])
     linear = estimate.instrument.linear_count if estimate.instrument is not None else 0
     np.testing.assert_allclose(known[:, :linear], np.broadcast_to(estimate.u[:linear], (2, linear)), rtol=0.05)
@@ -279,15 +281,14 @@ def test_a_cause_is_named_in_the_session_it_is_in() -> None:
     estimate = joint(observations, quick=True)
     assert estimate.linearised is not None
     rows, (_, part) = estimate.linearised, estimate.linearised.problem.parts
-    N, K, last = len(rows.rest), len(rows.turn), part.rests.start + 6
+    (N, _), (K, _), last = *(residuals.shape for residuals in rows.residuals), part.rests.start + 6
     at_rest = 50.0 * DEGREE_PER_HOUR * np.outer((np.arange(N) > last) & (np.arange(N) < part.rests.stop), np.ones(3))
     turns = np.arange(K)[:, None]
     first = part.turns.start + 6
     in_turn = 50.0 * DEGREE_PER_HOUR * np.where(turns > first, 1.0, 0.5 * (turns == first)) * np.ones((K, 3))
     rest, turn = LinearisedSession(estimate.linearised).bias_columns("gyro", at_rest, in_turn[:, None])
-    jumping = replace(rows, rest=rows.rest.copy(), turn=rows.turn.copy())
-    jumping.rest[..., -1] += rest.sum(axis=2)
-    jumping.turn[..., -1] += turn.sum(axis=2)
+    residuals = (r + columns.sum(axis=2) for r, columns in zip(rows.residuals, (rest, turn), strict=True))
+    jumping = with_residuals(rows, *residuals)
     found = misfit(replace(estimate, linearised=jumping))
     (said,) = [each.sentence for each in found if "jump" in each.sentence]
     assert "session-2: " in said
@@ -306,7 +307,7 @@ def test_each_session_with_what_the_others_say_knows_what_all_know_and_a_warm_up
     assert linearised is not None
     assert estimate.instrument is not None
     linear = estimate.instrument.linear_count
-    nothing = [np.zeros((*rows.shape[:2], 1)) for rows in (linearised.rest, linearised.turn)]
+    nothing = [np.zeros((*residuals.shape, 1)) for residuals in linearised.residuals]
     known = np.array([each.u[:linear] for each in projections(linearised, linearised.components, *nothing)])
     whole = np.sqrt(solve(linearised, linearised.components).covariance.diagonal())[1 : 1 + linear]
     np.testing.assert_allclose(known, np.broadcast_to(whole, (2, linear)), rtol=0.05)

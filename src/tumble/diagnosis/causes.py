@@ -199,7 +199,7 @@ class LinearisedSession:
         their courses `at_rest` (N, q) and `in_turn` (K, q), in which 1 is for all."""
         rows, block, sensors = self.linearised, self.blocks[kind], self._sensors(kind)
         by_function = functions(block, self.force, self.rate)
-        rest, turn = (np.zeros((*of.shape[:2], change.shape[2])) for of in (rows.rest, rows.turn))
+        rest, turn = (np.zeros((*residuals.shape, change.shape[2])) for residuals in rows.residuals)
         rest[:, sensors] = np.einsum("npb,pbq->npq", by_function, change) * at_rest[:, None]
         if rows.about is not None:
             t = 6 if self.problem.instrument.in_velocities else 3
@@ -336,7 +336,8 @@ def _lags(
     Each sensor has a state, which starts at its force in the first rest of a session. `lag` returns the lags in steps
     and the states (..., n) after them, from the states before, the forces (steps, n) and the duration of a step in
     `times` (...), s."""
-    rests, turns, link = session.observations.rests, session.observations.turns, session.problem.link
+    rests, turns = session.observations.rests, session.observations.turns
+    turn_after = {rest: k for k, rest in enumerate(session.problem.before_turn.tolist())}
     force, path = session.force @ block.axes.T, session.path_forces @ block.axes.T
     first = {part.rests.start for part in session.problem.parts}
     at_rest, in_turn = np.zeros((*times.shape, *force.shape)), np.zeros((*times.shape, *path.shape))
@@ -345,7 +346,7 @@ def _lags(
         if i in first:
             state = np.broadcast_to(here, state.shape)
         at_rest[..., i : i + 1, :], state = lag(state, here[None], (rests.stop[i] - rests.start[i]) / times)
-        if (k := link[i]) >= 0 and turns is not None:
+        if (k := turn_after.get(i)) is not None and turns is not None:
             in_turn[..., k, :, :], state = lag(state, path[k], turns.duration[k] / PATH_STEPS / times)
     return at_rest, in_turn
 

@@ -142,16 +142,15 @@ def group_columns(observations: Observations) -> tuple[Problem, Array]:
     The data are the readings of accelerometers and gyros at rest (those of triads in body axes), the errors of turns,
     the integrals over them of the readings of more than three gyros, and gravity."""
     problem = whole_problem(observations)
-    rows, first, columns, last = initial_linearisation(problem), problem.instrument.linear_count, list[Array](), 0
+    rows, columns = initial_linearisation(problem).rows, list[Array]()
+    k = len(problem.instrument.names) - problem.instrument.linear_count
     for block in problem.instrument.blocks:
-        of_rests = rows.rest[:, last : last + block.size, 4 + first : -1]
+        of_rests = rows[block.kind][:, :, -1 - k : -1]
         columns.append(block.axes.T @ of_rests if block.triad else of_rests)
-        last += block.size
-    columns.append(rows.turn[:, :3, 7 + first : -1])
+    columns.append(rows["turn"][:, :3, -1 - k : -1])
     if observations.turn_readings is not None:
         free = left_null_space(problem.instrument.blocks[1].axes)
-        columns.append(free.T @ rows.turn[:, -len(free) :, 7 + first : -1])
-    k = len(problem.instrument.names) - first
+        columns.append(free.T @ rows["turn"][:, -len(free) :, -1 - k : -1])
     return problem, np.concatenate([*(each.reshape(-1, k) for each in columns), np.zeros((1, k))])
 
 

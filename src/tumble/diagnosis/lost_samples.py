@@ -93,11 +93,11 @@ def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list
     if rows.about is None or not (any(session.has_turns) and session.observations.unstamped):
         return []
     axis = np.where(rows.about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turn_axes(rows.about))
-    rest, turn = (np.zeros((*each.shape[:2], 2 if in_velocities else 1)) for each in (rows.rest, rows.turn))
+    rest, turn = (np.zeros((*each.shape, 2 if in_velocities else 1)) for each in rows.residuals)
     turn[:, :3, 0] = axis
     if in_velocities:
         turn[:, 3:6, 1] = np.cross(axis, rows.gained)
-    drops = approximate_drops(with_scatter.equations.turn_whitening @ turn, *with_scatter.turn_residuals)
+    drops = approximate_drops(with_scatter.equations.whitening["turn"] @ turn, *with_scatter.residuals["turn"])
     chosen, words = np.zeros(len(turn)), list[dict[str, object]]()
     for part, observed in zip(session.problem.parts, session.observed, strict=True):
         words.append({"turn": "", "number": ""})
@@ -150,8 +150,8 @@ def lost_in_all_turns(session: LinearisedSession, s: int, with_scatter: Solution
     assert about is not None
     axis = _turn_axes(about)[part]
     angle = np.sqrt(about.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
-    W = with_scatter.equations.turn_whitening[part, :, :3]
-    residual, covariance = (each[part] for each in with_scatter.turn_residuals)
+    W = with_scatter.equations.whitening["turn"][part, :, :3]
+    residual, covariance = (each[part] for each in with_scatter.residuals["turn"])
     along, across = (
         SumOfSquares.along(W @ (angle * directions), residual, covariance)
         for directions in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))

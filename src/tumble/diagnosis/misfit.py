@@ -108,16 +108,18 @@ def _groups_of_residuals(
     """Yield the groups of residuals of a session, a part of all.
 
     `expected` is the solution with the noise within rests and the usual in-run biases; `components` are estimated."""
-    rests, turns, (of_rests, of_turns, _) = observations.rests, observations.turns, expected.by_kind
+    rests, turns = observations.rests, observations.turns
     covariances = {"accel": rests.accel_covariance, "gyro": rests.gyro_covariance}
     if turns is not None:
         covariances |= {"turn": turns.covariance, "velocity": turns.velocity_covariance}
+    by_kind = {kind: (r, C, directions, at) for kind, r, C, directions, at in expected.scatter}
     for name, noise in covariances.items():
-        rows, (W, (residual, covariance), (Z, component)) = (
-            (part.rests, of_rests) if name in REST_SCATTER else (part.turns, of_turns)
-        )
+        kind = name if name in REST_SCATTER else "turn"
+        if kind not in by_kind:
+            continue
+        rows, (residual, covariance, directions, component) = part.rows[kind], by_kind[kind]
         names = ("turn", "apart") if name == "turn" else (name,)  # rotations, and integrals of redundant gyros
-        directions = W[rows] @ Z[rows][:, :, np.isin(component, [SCATTER.index(each) for each in names])]
+        directions = directions[rows][:, :, np.isin(component, [SCATTER.index(each) for each in names])]
         scatter = float(np.hypot(getattr(components, name), getattr(components, f"{name}_in_run", 0.0)))
         yield GroupOfResiduals(
             name=name,

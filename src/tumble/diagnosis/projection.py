@@ -115,7 +115,7 @@ def projections(
     triangles = [with_local_prior(problem.local_u, *each)[q:, q:] for each in of_sessions]
     common = np.append(np.arange(p), p + c)
     for s, part in enumerate(problem.parts):
-        whitened = (equations.rest_rows[part.rests], equations.turn_rows[part.turns])
+        whitened = [equations.rows[kind][at] for kind, at in part.rows.items() if kind != "link"]
         length = np.sqrt(sum((each[..., -1 - c : -1] ** 2).sum(axis=(0, 1)) for each in whitened))
         triangle, others = triangles[s].copy(), 0
         for o, other in enumerate(triangles):
@@ -139,8 +139,9 @@ def projections(
             variance[biases] += (by_rests**2).sum(axis=(0, 2))
             by_columns[biases] += by_common @ np.vstack([by_columns, -np.eye(c)])
         undetermined = np.count_nonzero(equations.rest_factors[part.rests].diagonal(0, 1, 2)[:, :3] == 0.0)
-        rest_weight, turn_weight = noise.rest_weights[part.rests], noise.turn_weights[part.turns]
-        kept = (rest_weight**2).sum() + (turn_weight**2).sum()  # rows that are not left out
+        weights = (noise.rows[kind].root_weights[at] ** 2 for kind, at in part.rows.items() if kind != "link")
+        kept = sum(weight.sum() for weight in weights)  # rows that are not left out
+        angles = 3 * (part.stations.stop - part.stations.start)
         yield Projection(
             triangle=triangle[p : p + c, p : p + c],
             residual=triangle[p : p + c, -1],
@@ -148,7 +149,7 @@ def projections(
             length=length,
             u=np.sqrt(variance[1 - first :]),
             chi_square=float((triangle[p:, -1] ** 2).sum()),
-            degrees=max(1.0, float(kept) - 3 * len(part.link) + undetermined + others - determined),
+            degrees=max(1.0, float(kept) - angles + undetermined + others - determined),
         )
 
 
@@ -158,14 +159,18 @@ def with_unknown_headings(rows: Linearisation) -> Linearisation:
     gyro, n = problem.observations.gyro_block, problem.observations.accel_block.size
     if gyro is None or problem.earth[0] == 0.0:
         return rows
-    gyro_rows = slice(n, n + gyro.size)
-    variance = np.diagonal(noise.rest, axis1=1, axis2=2)[:, gyro_rows]
-    information = np.bincount(problem.chain, (rows.headings[:, gyro_rows] ** 2 / variance).sum(axis=1))
+    of_gyros, of_turns = noise.rows["gyro"], noise.rows["turn"]
+    variance = np.diagonal(of_gyros.covariance, axis1=1, axis2=2)
+    information = np.bincount(problem.chain, (rows.rows["gyro"][:, :, 2] ** 2 / variance).sum(axis=1))
     unknown = (information < DETERMINED_HEADING**-2)[problem.chain]
     rest, turn = north_rate_columns(rows)
-    rest, turn = rest * unknown[:, None], turn * unknown[problem.before_turn][:, None]
+    rest, turn = rest[:, n:] * unknown[:, None], turn * unknown[problem.before_turn][:, None]
     by_rest, by_turn = (each[:, :, None] * each[:, None] for each in (rest, turn))
-    return replace(rows, noise=replace(noise, rest=noise.rest + by_rest, turn=noise.turn + by_turn))
+    added = {
+        "gyro": replace(of_gyros, sources={**of_gyros.sources, "north": by_rest}),
+        "turn": replace(of_turns, sources={**of_turns.sources, "north": by_turn}),
+    }
+    return replace(rows, noise=replace(noise, rows={**noise.rows, **added}))
 
 
 def north_rate_columns(rows: Linearisation) -> tuple[Array, Array]:
@@ -176,7 +181,7 @@ def north_rate_columns(rows: Linearisation) -> tuple[Array, Array]:
     problem, L = rows.problem, rows.point.attitudes
     gyro, n, north = problem.observations.gyro_block, problem.observations.accel_block.size, problem.earth[0]
     assert gyro is not None
-    rest, turn = np.zeros(rows.rest.shape[:2]), np.zeros(rows.turn.shape[:2])
+    rest, turn = map(np.zeros_like, rows.residuals)
     rest[:, n : n + gyro.size] = north * L[:, 0] @ gyro.axes.T
     turns = problem.observations.turns
     if turns is not None:

@@ -29,7 +29,7 @@ sum of 1 − Var e. For a correlation time, with e_k the steps divided by √(1 
 
     ∂ℓ/∂ln τ = Σ ρ Δt/τ · (E[(β_{k+1} − ρ β_k) β_k] + ρ (1 − E e²)) / (1 − ρ²)
 
-To add a hyperparameter, add a subclass of `Hyperparameter` and an entry in `hyperparameters_of`.
+To add a hyperparameter, add an entry in `hyperparameters_of`, and its forms in `quadratic_forms`.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from __future__ import annotations
 from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, Literal
 
 import numpy as np
 
 from tumble.inference.elimination import recur_backwards
-from tumble.inference.elimination_kernels import scatter_forms, state_forms
+from tumble.inference.elimination_kernels import state_forms
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import (
     CORRELATION_TIME,
@@ -52,6 +52,7 @@ from tumble.inference.noise import (
     REST_SCATTER,
     SCATTER,
     SCATTER_WORDS,
+    STATIONS,
     NoiseModel,
     VarianceComponents,
     typical_noise,
@@ -81,23 +82,31 @@ LEAST_DEGREES = 0.5
 
 
 Members = slice | IntArray
+Kind = Literal["scatter", "process", "time", "sensor", "group", "local group"]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hyperparameter:
     """Element of φ.
 
-    `usual` is the quantity, SI, about which the prior is, `within` its standard deviation in the logarithm, and
-    `members` the components, sensors, states or parameters concerned. If `bounded`, it is p of λ = exp(max(p, 0))."""
+    It is ln σ of a component of variance in SCATTER ("scatter"), ln σ or ln τ of a Gauss–Markov process ("process",
+    "time"), or p of a factor λ = exp(max(p, 0)): on scatter at rest and in-run bias of one sensor ("sensor"), or on the
+    size of a group of common parameters ("group") or of those of each session ("local group"). `usual` is the quantity,
+    SI, about which the prior is, `within` its standard deviation in the logarithm, and `members` the components,
+    sensors, states or parameters concerned."""
 
-    bounded: ClassVar[bool] = False
-
+    kind: Kind
     name: str
     unit: str
     words: str
     usual: float
     within: float = 0.0
     members: Members = field(default_factory=lambda: slice(None))
+
+    @property
+    def bounded(self) -> bool:
+        """True for p of λ = exp(max(p, 0))."""
+        return self.kind in {"sensor", "group", "local group"}
 
     @property
     def centre(self) -> float:
@@ -113,45 +122,6 @@ class Hyperparameter:
         return Hyperparameters((self,)).log_prior(phi[..., None])[..., 0]
 
 
-class Scatter(Hyperparameter):
-    """ln σ of a component of variance in `SCATTER`."""
-
-    __slots__ = ()
-
-
-class InRunSize(Hyperparameter):
-    """ln σ of a Gauss–Markov process: in-run bias of a kind of sensor, or displacement."""
-
-    __slots__ = ()
-
-
-class CorrelationTime(Hyperparameter):
-    """ln τ of a Gauss–Markov process."""
-
-    __slots__ = ()
-
-
-class SensorFactor(Hyperparameter):
-    """p of the factor on scatter at rest and in-run bias of one sensor."""
-
-    __slots__ = ()
-    bounded = True
-
-
-class GroupSize(Hyperparameter):
-    """p of the factor on the size of a group of common parameters."""
-
-    __slots__ = ()
-    bounded = True
-
-
-class LocalGroupSize(Hyperparameter):
-    """p of the factor on the size of a group of parameters of each session."""
-
-    __slots__ = ()
-    bounded = True
-
-
 class Hyperparameters(tuple[Hyperparameter, ...]):
     """Elements of φ."""
 
@@ -162,7 +132,7 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
 
     def variances(self, phi: Array) -> BoolArray:
         """Return which elements (D,) are logarithms of standard deviations that matter at φ (D,)."""
-        times = np.array([isinstance(h, CorrelationTime) for h in self], dtype=bool)
+        times = np.array([h.kind == "time" for h in self], dtype=bool)
         return ~times & ~(self.bounded & (phi <= 0.0))
 
     @cached_property
@@ -173,7 +143,7 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
     @cached_property
     def _priors(self) -> tuple[Array, IntArray, IntArray]:
         """1/within (D,), 0 unless the prior is normal, and the indices of scatter of rests, and of turns and links."""
-        scatter = [i for i, h in enumerate(self) if isinstance(h, Scatter)]
+        scatter = [i for i, h in enumerate(self) if h.kind == "scatter"]
         at_rest, others = (
             np.array([i for i in scatter if (self[i].name in REST_SCATTER) is rests], dtype=int)
             for rests in (True, False)
@@ -195,17 +165,17 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
         return out
 
     @cached_property
-    def _members(self) -> dict[tuple[tuple[type[Hyperparameter], int], ...], Array]:
+    def _members(self) -> dict[tuple[tuple[Kind, int], ...], Array]:
         return {}
 
-    def members(self, *counts: tuple[type[Hyperparameter], int]) -> Array:
+    def members(self, *counts: tuple[Kind, int]) -> Array:
         """Return a matrix (D, Σ count), 1 where an element of a kind concerns one of the `count` members, else 0."""
         if counts not in self._members:
             out = self._members[counts] = np.zeros((len(self), sum(count for _, count in counts)))
             for i, h in enumerate(self):
                 first = 0
                 for kind, count in counts:
-                    if isinstance(h, kind):
+                    if h.kind == kind:
                         out[i, first : first + count][h.members] = 1.0
                     first += count
         return self._members[counts]
@@ -222,12 +192,13 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     n, s, q = problem.sensors, noise.states, solution.local.shape[-1]
 
     # components of variance, and directions of single sensors at rest
-    scatter, directions = np.zeros((2, len(SCATTER))), list[Array]()
-    for W, (r, C), (Z, place) in solution.by_kind:
-        directions.append(np.zeros((2, len(place))))
-        scatter_forms(W, Z, r, C, np.empty(Z.shape[1]), directions[-1])
-        directions[-1] *= noise.variances[place]
-        scatter += directions[-1] @ (place[:, None] == np.arange(len(SCATTER)))
+    scatter, of_sensors = np.zeros((2, len(SCATTER))), np.zeros((2, n))
+    for kind, r, C, WZ, component in solution.scatter:
+        square, trace = ((r[:, None] @ WZ) ** 2).sum(axis=(0, 1)), (WZ * (C @ WZ)).sum(axis=(0, 1))
+        forms = noise.variances[component] * np.stack([square, trace])
+        scatter += forms @ (component[:, None] == np.arange(len(SCATTER)))
+        if kind in noise.places:
+            of_sensors[:, noise.places[kind]] = forms
     if not np.isfinite(scatter.sum()):
         raise np.linalg.LinAlgError("residuals are beyond all measure")
 
@@ -254,16 +225,16 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     priors = prior_forms(off, (solution.roots[0, q + 1 :] ** 2).sum(axis=-1), problem.prior_u[1:])
     local_priors = prior_forms(off_local, (solution.roots[:, :q] ** 2).sum(axis=-1), problem.local_u)
 
-    forms = (
-        (Scatter, scatter),
-        (InRunSize, states[:2]),
-        (CorrelationTime, times),
-        (SensorFactor, directions[0][:, :n] + states[:2, :n]),
-        (GroupSize, priors),
-        (LocalGroupSize, local_priors.sum(axis=1)),
+    of_kinds: tuple[tuple[Kind, Array], ...] = (
+        ("scatter", scatter),
+        ("process", states[:2]),
+        ("time", times),
+        ("sensor", of_sensors + states[:2, :n]),
+        ("group", priors),
+        ("local group", local_priors.sum(axis=1)),
     )
-    members = hyperparameters.members(*((kind, form.shape[1]) for kind, form in forms))
-    return np.asarray(np.concatenate([form for _, form in forms], axis=1) @ members.T)
+    members = hyperparameters.members(*((kind, form.shape[1]) for kind, form in of_kinds))
+    return np.asarray(np.concatenate([form for _, form in of_kinds], axis=1) @ members.T)
 
 
 def score(hyperparameters: Hyperparameters, solution: Solution) -> Array:
@@ -318,50 +289,47 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
     observations, blocks, out = problem.observations, problem.instrument.blocks, list[Hyperparameter]()
     undisturbed = problem.prior.undisturbed
 
-    def add(
-        kind: type[Hyperparameter], name: str, unit: str, words: str, usual: float, within: float, members: Members
-    ) -> None:
-        out.append(kind(name=name, unit=unit, words=words, usual=usual, within=within, members=members))
+    def add(kind: Kind, name: str, unit: str, words: str, usual: float, within: float, members: Members) -> None:
+        out.append(
+            Hyperparameter(kind=kind, name=name, unit=unit, words=words, usual=usual, within=within, members=members)
+        )
 
     # components of variance, whose usual value is the noise along their directions
     noise_along: list[list[Array]] = [[] for _ in SCATTER]
-    for covariance, (Z, place) in (
-        (noise.rest, noise.rest_directions),
-        (noise.turn, noise.turn_directions),
-        (noise.link, noise.link_directions),
-    ):
-        length, size = (Z**2).sum(axis=1), ((covariance @ Z) * Z).sum(axis=1)
-        for number in set(place.tolist()):
-            at = (place == number) & (length > 0.0)
+    for rows in noise.rows.values():
+        Z = rows.directions
+        length, size = (Z**2).sum(axis=1), ((rows.covariance @ Z) * Z).sum(axis=1)
+        for number in set(rows.component.tolist()):
+            at = (rows.component == number) & (length > 0.0)
             noise_along[number].append(size[at] / length[at] ** 2)
     for number, (name, (unit, words)) in enumerate(SCATTER_WORDS.items()):
         variances = np.concatenate([np.zeros(0), *noise_along[number]])
         if estimable[number] and len(variances) and not (undisturbed and name in REST_SCATTER):
             usual = 1.0 if name in LINK_SCATTER else float(np.sqrt(np.median(variances)))
-            add(Scatter, name, unit, words, usual, 0.0, slice(number, number + 1))
+            add("scatter", name, unit, words, usual, 0.0, slice(number, number + 1))
 
     # in-run biases of both kinds, and factors of single sensors
     rests, first = observations.rests, 0
-    covariances = (rests.accel_covariance, rests.gyro_covariance) if len(problem.link) > 1 else ()
+    covariances = (rests.accel_covariance, rests.gyro_covariance) if len(problem.chain) > 1 else ()
     for block, covariance in zip(blocks, covariances, strict=False):
         kind, words = block.kind, "accelerometers" if block.kind == "accel" else "gyros"
         within = UNDISTURBED_WITHIN if undisturbed else IN_RUN_WITHIN
         usual, members = observations.in_run.get(kind, typical_noise(covariance)), slice(first, first + block.size)
         words = f"in-run bias of the {words}"
-        add(InRunSize, f"{kind}_in_run", SCATTER_WORDS[kind][0], words, usual, within, members)
-        add(CorrelationTime, f"{kind}_time", "s", f"correlation time of the {words}", CORRELATION_TIME, within, members)
+        add("process", f"{kind}_in_run", SCATTER_WORDS[kind][0], words, usual, within, members)
+        add("time", f"{kind}_time", "s", f"correlation time of the {words}", CORRELATION_TIME, within, members)
         for c, sensor in enumerate(block.sensors if block.size > 1 and not undisturbed else ()):
             name, words = (
                 f"{kind}.in_run.{sensor}",
                 f"scatter and in-run bias of {kind} {sensor} over those of the others",
             )
-            add(SensorFactor, name, "1", words, 1.0, float(np.log(UNLIKE)), slice(first + c, first + c + 1))
+            add("sensor", name, "1", words, 1.0, float(np.log(UNLIKE)), slice(first + c, first + c + 1))
         first += block.size
     if problem.moves:
         words, members = "displacement of the device in motion", slice(first, first + 3)
-        add(InRunSize, "displacement", "m", words, DISPLACEMENT, 2.0, members)
+        add("process", "displacement", "m", words, DISPLACEMENT, 2.0, members)
         words = f"correlation time of the {words}"
-        add(CorrelationTime, "displacement_time", "s", words, DISPLACEMENT_TIME, 1.0, members)
+        add("time", "displacement_time", "s", words, DISPLACEMENT_TIME, 1.0, members)
 
     # Groups beyond the linear model. A lag keeps its size, because it multiplies other parameters and both could grow
     # together. So does a curvature at only two temperatures, and a hysteresis if these were approached from one side:
@@ -369,7 +337,8 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
     two, both_sides = at_two_temperatures(observations), ramps_up_and_down(observations)
     held = {"lag", "temperature²" if two else "lag", "lag" if both_sides else "hysteresis"}
     common = {name: at for name, at in problem.instrument.members.items() if variable_of(name) not in held}
-    for kind_of_size, groups in ((GroupSize, common), (LocalGroupSize, problem.local_members)):
+    of_kinds: tuple[tuple[Kind, Mapping[str, slice]], ...] = ("group", common), ("local group", problem.local_members)
+    for kind_of_size, groups in of_kinds:
         for name in groups:
             if group_of(name).sized_with in groups:
                 continue
@@ -386,7 +355,7 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
 def scaled(problem: Problem, hyperparameters: Hyperparameters, phi: Array) -> tuple[Problem, VarianceComponents]:
     """Return the problem with prior sizes at φ (D,), and the components of variance; stacks for φ (P, D)."""
     values, m, q, n = np.exp(phi), len(problem.usual_u) - 1, len(problem.usual_local_u), problem.sensors
-    members = hyperparameters.members((GroupSize, m), (LocalGroupSize, q), (SensorFactor, n))
+    members = hyperparameters.members(("group", m), ("local group", q), ("sensor", n))
     factors = np.exp(np.maximum(phi, 0.0) @ members)
     prior_u = np.empty((*phi.shape[:-1], 1 + m))
     prior_u[..., 0], prior_u[..., 1:] = problem.usual_u[0], problem.usual_u[1:] * factors[..., :m]
@@ -422,22 +391,20 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     def add_square(Z: Array) -> None:
         square[:] += Z.reshape(-1, D).T @ Z.reshape(-1, D)
 
-    # rests, turns and links: Z of a component of variance is 2 v W z zᵀ Wᵀ r
-    of_scatter = hyperparameters.members((Scatter, len(SCATTER)))
-    of_sensors = hyperparameters.members((SensorFactor, problem.sensors))
-    for (rows, before, parts), (W, (r, _), (directions, place)) in zip(
-        solution.row_blocks, solution.by_kind, strict=True
-    ):
-        members = of_scatter[:, place]
-        members[:, : problem.sensors] += of_sensors if before is problem.station else 0.0
-        along = W @ directions
-        Z = (2.0 * noise.variances[place] * (r[:, None] @ along) * along) @ members.T
+    # rows: Z of a component of variance is 2 v W z zᵀ Wᵀ r
+    of_scatter = hyperparameters.members(("scatter", len(SCATTER)))
+    of_sensors = hyperparameters.members(("sensor", problem.sensors))
+    for kind, r, _, along, component in solution.scatter:
+        members, rows = of_scatter[:, component], equations.rows[kind]
+        if kind in noise.places:
+            members += of_sensors[:, noise.places[kind]]
+        Z = (2.0 * noise.variances[component] * (r[:, None] @ along) * along) @ members.T
         add_square(Z)
         products = np.swapaxes(rows[:, :, :-1], 1, 2) @ Z
-        for first in range(0, products.shape[1] + 1 - width, d):  # one station of a rest, two of others
-            at_stations[before + first // d] += products[:, first : first + d]
-        for s, part in enumerate(parts):
-            of_sessions[s] += products[part, 1 - width :].sum(axis=0)
+        for e in range(STATIONS[kind]):
+            at_stations[problem.first[kind] + e] += products[:, e * d : (e + 1) * d]
+        for s, part in enumerate(problem.parts):
+            of_sessions[s] += products[part.rows[kind], 1 - width :].sum(axis=0)
 
     # steps of states, and their initial values
     if states := noise.states:
@@ -452,8 +419,8 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     # priors
     off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
     u, off_local, local_u = problem.prior_u[1:, None], point.local + solution.local, problem.local_u[:, None]
-    Z = -2.0 * (off[:, None] / u) * hyperparameters.members((GroupSize, len(off))).T
-    Z_local = -2.0 * (off_local[..., None] / local_u) * hyperparameters.members((LocalGroupSize, q)).T
+    Z = -2.0 * (off[:, None] / u) * hyperparameters.members(("group", len(off))).T
+    Z_local = -2.0 * (off_local[..., None] / local_u) * hyperparameters.members(("local group", q)).T
     add_square(Z)
     add_square(Z_local)
     of_sessions[:, :q] += Z_local / local_u
@@ -478,8 +445,9 @@ def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) ->
     recur_backwards(rho[:, :, None] * np.eye(s), back[:, :, None])
     after = np.append(back[1:], np.zeros((1, s)), axis=0)
     by_time = np.where(follows, (slope * b - step**2 * after) / step - 2.0 * rho * slope * residual / step, 0.0)
-    sizes = hyperparameters.members((InRunSize, s)).T.copy()
-    sizes[:n] += hyperparameters.members((SensorFactor, n)).T
-    times = hyperparameters.members((CorrelationTime, s)).T
+    sizes = hyperparameters.members(("process", s)).T.copy()
+    if noise.biases:
+        sizes[:n] += hyperparameters.members(("sensor", n)).T
+    times = hyperparameters.members(("time", s)).T
     of_steps = -2.0 * (residual * step)[:, :, None] * sizes - by_time[:, :, None] * times
     return of_steps, -2.0 * b[first][:, :, None] * sizes + back[first][:, :, None] * times

@@ -62,11 +62,8 @@ import scipy
 from tumble.inference.elimination_kernels import fold_sizes, mean_covariance
 from tumble.inference.estimate import Integral
 from tumble.inference.hyperparameters import (
-    CorrelationTime,
-    GroupSize,
     Hyperparameter,
     Hyperparameters,
-    InRunSize,
     derivatives,
     quadratic_forms,
     scaled,
@@ -180,7 +177,8 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
     count = max((1 if len(proposal.inner) else 2) * FIRST_POINTS // 2, len(proposal.outer) + SPARE_POINTS)
     for first, second in zip(*(_rounds(fitted, proposal, count, sequence) for sequence in (0, 1)), strict=True):
         both, u = Draws.joined((first, second)), np.maximum(first.u + second.u, 1e-300)
-        error = float(np.max(np.maximum(np.abs(first.u - second.u), np.abs(first.mean - second.mean)) / u))
+        difference = np.maximum(np.abs(first.u - second.u), np.abs(first.mean - second.mean)) / u
+        error = float(np.max(difference[: len(fitted.solution.parameters)]))
         if len(first.phi) == count:
             enough = min(first.effective, second.effective) > FIRST_EFFECTIVE
         else:
@@ -192,22 +190,21 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
     phi, weight = both.phi.reshape(-1, len(fitted.phi)), both.weight.ravel()
     typical = weight @ phi  # root-mean-square standard deviations and geometric-mean times
     for i, h in enumerate(fitted.hyperparameters):
-        if not isinstance(h, CorrelationTime):
+        if h.kind != "time":
             typical[i] = 0.5 * np.log(weight @ h.value(phi[:, i]) ** 2)
     solution = solution_at(fitted.linearisation, fitted.hyperparameters, typical)
-    mean, within, between = both.moments()
-    sources = scaled_to(contributions(solution), within) | {"hyperparameters": between}
+    mean, (within, between), p = both.mean, both.moments(), len(solution.parameters)
+    sources = scaled_to(contributions(solution), within[:p, :p]) | {"hyperparameters": between[:p, :p]}
     covariance = np.sum(list(sources.values()), axis=0)
-    factor, _ = both.coverage
+    factor = both.coverage[0][:p]
     shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
-    process_mean, process_within, process_between = both.moments(process=True)
     return Posterior(
-        step=mean,
+        step=mean[:p],
         covariance=covariance * np.outer(shorter, shorter),
         sources={name: source * np.outer(shorter, shorter) for name, source in sources.items()},
         degrees=degrees_of(factor[1:]),
-        process_step=process_mean,
-        process_covariance=process_within + process_between,
+        process_step=mean[p:],
+        process_covariance=(within + between)[p:, p:],
         integral=Integral(
             points=len(both.phi), effective=both.effective, pareto=both.smoothed_weights[1], u_error=error
         ),
@@ -287,7 +284,7 @@ class Proposal:
         hyperparameters, solution, phi = fitted.hyperparameters, fitted.solution, fitted.phi
         _, _, B = derivatives(hyperparameters, solution)
         forms, densities = quadratic_forms(hyperparameters, solution), dict[int, Density]()
-        sizes = [i for i, h in enumerate(hyperparameters) if isinstance(h, GroupSize)]
+        sizes = [i for i, h in enumerate(hyperparameters) if h.kind == "group"]
         if sizes:
             densities |= _size_densities(fitted, sizes)
         inner, outer = list(densities), [i for i in range(len(hyperparameters)) if i not in sizes]
@@ -356,16 +353,15 @@ class Proposal:
 
 def _times_of(hyperparameters: Hyperparameters) -> dict[int, int]:
     """Return the element of the correlation time for each element of the size of in-run biases."""
-    sizes, times = (
-        [i for i, h in enumerate(hyperparameters) if isinstance(h, kind)] for kind in (InRunSize, CorrelationTime)
-    )
+    sizes, times = ([i for i, h in enumerate(hyperparameters) if h.kind == kind] for kind in ("process", "time"))
     return dict(zip(sizes, times, strict=True))
 
 
 def _spread_in_session(noise: NoiseModel, log_time: Array) -> Array:
     """Return ln of the standard deviation of an in-run bias about its mean over a session, relative to σ_b."""
-    chains = np.isinf(noise.interval).sum()
-    x = np.exp(-log_time) * noise.interval[np.isfinite(noise.interval)].sum() / max(chains, 1)
+    interval = noise.interval[:, 0]
+    chains = np.isinf(interval).sum()
+    x = np.exp(-log_time) * interval[np.isfinite(interval)].sum() / max(chains, 1)
     x = np.maximum(x, 1e-3)
     return np.asarray(0.5 * np.log(1.0 - 2.0 * (x + np.expm1(-x)) / x**2))
 
@@ -439,11 +435,9 @@ class Triangles:
         Λ and h of the parameters c of these groups, relative to their prior means.
     deviance : (K,)
         −2 ln L at c = 0.
-    alpha, gamma, omega : (K, 1 + m), (K, 1 + m, g) and (K, 1 + m, 1 + m)
-        Given c, the step of gravity and the parameters is α + Γ c, with covariance Ω; biases are the means over the
-        session.
-    process_alpha, process_gamma, process_omega : (K, n), (K, n, g) and (K, n, n)
-        The same for the biases as means of their processes.
+    alpha, gamma, omega : (K, y), (K, y, g) and (K, y, y)
+        Given c, the step of y quantities is α + Γ c, with covariance Ω. These are gravity and the parameters (1 + m),
+        biases being the means over the session, and then the biases (n) as means of their processes.
     """
 
     information: Array
@@ -452,9 +446,6 @@ class Triangles:
     alpha: Array
     gamma: Array
     omega: Array
-    process_alpha: Array
-    process_gamma: Array
-    process_omega: Array
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
@@ -506,7 +497,7 @@ def triangles(
 
 def _in_parts(linearisation: Linearisation, phi: Array) -> Iterator[Array]:
     """Return the points φ (K, D) in parts that are computed together."""
-    count = max(1, RESTS_AT_ONCE // len(linearisation.problem.link))
+    count = max(1, RESTS_AT_ONCE // len(linearisation.problem.chain))
     return (phi[first : first + count] for first in range(0, len(phi), count))
 
 
@@ -539,16 +530,17 @@ def _triangles(here: Linearisation, places: IntArray) -> Triangles:
     pivots = np.log(np.abs(np.diagonal(R[:, o, o], axis1=1, axis2=2))).sum(axis=1)
     pivots += [sum(np.log(np.abs(head.diagonal())).sum() for head in session_heads) for session_heads in heads]
     biases = 1 + problem.biases
-    process = alpha[:, biases], gamma[:, biases], omega[:, biases[:, None], biases]
+    y = np.append(np.arange(p), biases)
+    alpha, gamma, omega = alpha[:, y], gamma[:, y], omega[:, y[:, None], y]
     if equations.wanders and len(problem.parts) == 1:
         by_shared, by_noise = session_mean_bias(equations)
         pairs = (mean_by_common(derivatives, head) for derivatives, (head,) in zip(by_shared, heads, strict=True))
         by_common, by_local = map(np.array, zip(*pairs, strict=True))
         D = by_common[:, :, :-1]
-        alpha[:, biases] += (D @ alpha[:, :, None])[:, :, 0] - by_common[:, :, -1]
-        gamma[:, biases] += D @ gamma
-        omega[:, biases] += D @ omega
-        omega[:, :, biases] += omega @ np.swapaxes(D, 1, 2)
+        alpha[:, biases] += (D @ alpha[:, :p, None])[:, :, 0] - by_common[:, :, -1]
+        gamma[:, biases] += D @ gamma[:, :p]
+        omega[:, biases] += D @ omega[:, :p]
+        omega[:, :, biases] += omega[:, :, :p] @ np.swapaxes(D, 1, 2)
         noise = np.concatenate([np.swapaxes(by_noise, 1, 2).reshape(K, len(biases), -1), by_local], axis=2)
         omega[:, biases[:, None], biases] += noise @ np.swapaxes(noise, 1, 2)
     return Triangles(
@@ -558,9 +550,6 @@ def _triangles(here: Linearisation, places: IntArray) -> Triangles:
         alpha=alpha,
         gamma=gamma,
         omega=omega,
-        process_alpha=process[0],
-        process_gamma=process[1],
-        process_omega=process[2],
     )
 
 
@@ -615,8 +604,8 @@ class Draws(Triangles):
         Prior standard deviations of the parameters c of the groups.
     value, within, between : (K, g), (K, g, g) and (K, g, g)
         Over the sizes at each point: the mean of c, the mean of its covariance, and the covariance of its mean.
-    step, variance : (K, 1 + m)
-        Over the sizes at each point: the mean step of gravity and the parameters, and its variance.
+    step, variance : (K, y)
+        Over the sizes at each point: the mean step of the y quantities, and its variance.
     """
 
     phi: Array
@@ -645,41 +634,35 @@ class Draws(Triangles):
 
     @property
     def mean(self) -> Array:
-        """Mean step (1 + m,) of gravity and the parameters."""
+        """Mean step (y,)."""
         return np.asarray(self.smoothed_weights[0] @ self.step)
 
     @property
     def u(self) -> Array:
-        """Standard uncertainties (1 + m,) of gravity and the parameters."""
+        """Standard uncertainties (y,)."""
         weight = self.smoothed_weights[0]
         return np.asarray(np.sqrt(weight @ self.variance + weight @ (self.step - self.mean) ** 2))
 
-    def moments(self, *, process: bool = False) -> tuple[Array, Array, Array]:
-        """Return the mean step (1 + m,), the mean of the covariances (1 + m, 1 + m), and the covariance of the steps.
-
-        With `process`, those of the biases (n,) as means of their processes."""
-        prefix, weight = "process_" if process else "", self.smoothed_weights[0]
-        alpha, gamma, omega = (getattr(self, prefix + name) for name in ("alpha", "gamma", "omega"))
+    def moments(self) -> tuple[Array, Array]:
+        """Return the mean of the covariances (y, y), and the covariance (y, y) of the mean steps."""
+        weight, gamma, deviation = self.smoothed_weights[0], self.gamma, self.step - self.mean
 
         def propagated(covariances: Array) -> Array:
             """Return Σ w Γ (…) Γᵀ."""
             left = np.swapaxes(weight[:, None, None] * (gamma @ covariances), 0, 1).reshape(gamma.shape[1], -1)
             return np.asarray(left @ np.swapaxes(gamma, 0, 1).reshape(gamma.shape[1], -1).T)
 
-        steps = alpha + (gamma @ self.value[:, :, None])[:, :, 0]
-        mean = weight @ steps
-        deviation = steps - mean
-        within = np.tensordot(weight, omega, axes=1) + propagated(self.within)
-        return mean, within, (deviation.T * weight) @ deviation + propagated(self.between)
+        within = np.tensordot(weight, self.omega, axes=1) + propagated(self.within)
+        return within, (deviation.T * weight) @ deviation + propagated(self.between)
 
     @cached_property
     def coverage(self) -> tuple[Array, Array]:
-        """Coverage factors of gravity and the parameters (1 + m,), and their relative sampling errors.
+        """Coverage factors (y,), and their relative sampling errors.
 
         With P_i the probability of the interval of a parameter at a point, its mean P has the variance Σ w² (P_i − P)²,
         and the half width of the interval that of P over the density at its ends."""
-        mean, within, between = self.moments()
-        u, (means, deviations, weight, point) = np.sqrt(np.diag(within + between)), self.mixture()
+        within, between = self.moments()
+        mean, u, (means, deviations, weight, point) = self.mean, np.sqrt(np.diag(within + between)), self.mixture()
         factor = coverage_factors(means - mean, deviations, weight, u)
         probability, density = interval_probability(factor * u, means - mean, deviations)
         deviation = np.zeros((len(self.phi), len(u)))
@@ -689,7 +672,7 @@ class Draws(Triangles):
         return factor, np.divide(error, width, out=np.zeros_like(u), where=width > 0.0)
 
     def mixture(self) -> tuple[Array, Array, Array, IntArray]:
-        """Return means and standard deviations (·, 1 + m) of a mixture of Gaussians, weights (·,) and points (·,): all
+        """Return means and standard deviations (·, y) of a mixture of Gaussians, weights (·,) and points (·,): all
         points or, of draws with sizes, MIXED of them."""
         means, variance, weight = self.alpha, np.diagonal(self.omega, axis1=1, axis2=2), self.weight.ravel()
         if self.sizes.shape[2] == 0:

@@ -195,12 +195,12 @@ class IntegratedTurns:
         """Q (K, 3, n, 15) of the gyros."""
         return self.paths[:, 3:, -self.to_rate.shape[1] :]
 
-    def rows(self, instrument: Instrument, values: Array, model: tuple[Array, Array], width: int) -> Array:
-        """Return [−∂φ/∂θ | φ] above [−∂V/∂θ | V] (K, 6, width + 1) at `values`, to first order.
+    def rows(self, instrument: Instrument, values: Array, model: tuple[Array, Array]) -> Array:
+        """Return [−∂φ/∂θ | φ] above [−∂V/∂θ | V] (K, 6, m + 1) at `values` (m,), to first order.
 
-        `model` is K and ∂K/∂θ there. Columns between those of the m parameters and the last are zero."""
+        `model` is K and ∂K/∂θ there."""
         (K, D), m = model, len(values)
-        out = np.zeros((len(self.paths), 6, width + 1))
+        out = np.zeros((len(self.paths), 6, m + 1))
         out[:, :, :m] = along_paths(self.paths, D)
         change = K - self.coefficients
         if change.ndim == 2:

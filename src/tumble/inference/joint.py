@@ -102,7 +102,9 @@ def joint(
 def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], by_lag: Array) -> Estimate:
     problem, linearisation, best = fitted.problem, fitted.linearisation, fitted.solution
     instrument = problem.instrument
-    accel_sigmas, gyro_sigmas, turn_sigmas, *_ = sigmas(best)
+    distances = sigmas(best)
+    gyro_sigmas = distances.get("gyro", np.zeros_like(distances["accel"]))
+    omitted, nothing = left_out(linearisation.noise.weights), np.zeros(len(gyro_sigmas), dtype=bool)
     without_scatter = chi_squares(solve(linearisation.with_priors(problem), NO_COMPONENTS))
     inertial = [fit for name, fit in without_scatter.items() if name != MAGNETOMETER]
     chi_square, degrees = (sum(getattr(fit, name) for fit in inertial) for name in ("chi_square", "degrees"))
@@ -146,9 +148,9 @@ def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], 
         accel=accel,
         gyro=None if observations.gyro_block is None else problem.gyro_model(values),
         rest_residual=np.linalg.norm(force, axis=1) - observations.site.gravity,
-        rest_sigmas=np.maximum(accel_sigmas, gyro_sigmas),
+        rest_sigmas=np.maximum(distances["accel"], gyro_sigmas),
         gyro_rest_sigmas=gyro_sigmas,
-        turn_sigmas=turn_sigmas,
+        turn_sigmas=distances["turn"],
         increments=increments,
         fits={**chi_squares(best), TOTAL: total},
         converged=fitted.converged,
@@ -168,7 +170,7 @@ def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], 
         integral=found.integral,
         process_bias=tuple(_process_bias(fitted, found, common_covariance)),
         budget=budget,
-        left_out=Omitted(**dict(zip(("accel", "gyro", "turn"), left_out(problem, linearisation.noise), strict=False))),
+        left_out=Omitted(accel=omitted["accel"], gyro=omitted.get("gyro", nothing), turn=omitted["turn"]),
     )
 
 
@@ -184,15 +186,16 @@ def _budget(fitted: Maximum, found: Posterior, common: Mapping[str, Array]) -> U
 
     A standard deviation with relative uncertainty σ counts as 1/(2 σ²) degrees of freedom (GUM E.4.3, G.4.2); σ is half
     the width of the middle 68 % of its logarithm."""
-    problem, noise = fitted.problem, fitted.linearisation.noise
+    problem = fitted.problem
     observations, instrument, rests = problem.observations, problem.instrument, problem.observations.rests
     sizes = dict[str, tuple[float, str, float | None]]()
-    for kind, covariance in (("accel", rests.accel_covariance), ("gyro", rests.gyro_covariance)):
-        if covariance.shape[1]:
-            sizes[f"{kind}.noise"] = typical_noise(covariance), "m/s^2" if kind == "accel" else "rad/s", None
-    if len(noise.turn):
-        rotation, velocity = (float(np.sqrt(np.median(each**2))) for each in problem.noise_of_turns)
-        sizes |= {"turn.gyro.noise": (rotation, "rad", None), "turn.accel.noise": (velocity, "m/s", None)}
+    turns, units = observations.turns, ("m/s^2", "rad/s", "rad", "m/s")
+    covariances = [rests.accel_covariance, rests.gyro_covariance]
+    covariances += [] if turns is None else [turns.covariance, turns.velocity_covariance]
+    names = "accel.noise", "gyro.noise", "turn.gyro.noise", "turn.accel.noise"
+    for name, covariance, unit in zip(names, covariances, units, strict=False):
+        if covariance.size:
+            sizes[name] = typical_noise(covariance), unit, None
     for h in _hyperparameters(fitted, found):
         name = f"{h.name}.scatter" if h.name in SCATTER else h.name.replace("_in_run", ".in_run")
         relative = 0.5 * np.log(h.high / h.low)
@@ -201,18 +204,18 @@ def _budget(fitted: Maximum, found: Posterior, common: Mapping[str, Array]) -> U
     sizes |= {"gravity": (site.gravity_u, "m/s^2", None), "clock": (clock, "1", None)}
     for name, members in instrument.members.items():
         sizes[f"prior.{name}"] = float(problem.prior_u[1:][members][0]), instrument.units[members.start], None
-    covariances = {name: covariance[1:, 1:] for name, covariance in found.sources.items()} | dict(common)
-    covariances = {name: covariance for name, covariance in covariances.items() if covariance.any()}
+    by_source = {name: covariance[1:, 1:] for name, covariance in found.sources.items()} | dict(common)
+    by_source = {name: covariance for name, covariance in by_source.items() if covariance.any()}
     return UncertaintyBudget(
-        sources=tuple(source(name, *sizes.get(name, ())) for name in covariances),
-        covariances=np.array(list(covariances.values())),
+        sources=tuple(source(name, *sizes.get(name, ())) for name in by_source),
+        covariances=np.array(list(by_source.values())),
     )
 
 
 def _process_bias(fitted: Maximum, found: Posterior, common: Array) -> Iterator[ProcessBias]:
     problem, biases, components = fitted.problem, fitted.problem.biases, fitted.components
     accelerometers = problem.instrument.accel.size
-    sigma, _ = components.in_run(accelerometers, problem.sensors - accelerometers)
+    sigma, _ = components.of_states(accelerometers, problem.sensors - accelerometers)
     variances = np.diag(found.process_covariance) + np.diag(common)[biases]
     values = fitted.linearisation.point.values[biases] + found.process_step
     for i, value, variance, in_run in zip(biases.tolist(), values.tolist(), variances.tolist(), sigma, strict=True):

@@ -41,7 +41,7 @@ import scipy
 
 from tumble.inference.hyperparameters import solution_at
 from tumble.inference.integral import coverage_factors
-from tumble.inference.linearisation import Linearisation, linearise
+from tumble.inference.linearisation import Linearisation
 from tumble.inference.maximum import Maximum, maximise, maximise_from_starts, maximise_phi
 from tumble.inference.problem import Problem
 from tumble.sensors.parameters import THERMAL, sensor_kind, variable_of
@@ -79,8 +79,7 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
 
     def held(values: Array, near: Linearisation) -> Linearisation:
         """Return the linearisation with lags held at those among values (m,)."""
-        there = linearise(near.problem.with_lags(values), replace(near.point, values=values), near.about)
-        return replace(there, noise=there.noise.weighted(*near.noise.weights))
+        return near.again(near.problem.with_lags(values), replace(near.point, values=values))
 
     def again(values: Array) -> Maximum:
         return maximise(held(values, replace(fitted.linearisation, point=fitted.point)), fitted.phi, iterations)

@@ -27,12 +27,11 @@ from itertools import permutations, product
 import numpy as np
 
 from tumble.inference.estimate import DETERMINED, Fit
-from tumble.inference.fits import MAGNETOMETER, OUTLIER_WEIGHTS, chi_squares, left_out, sigmas, weighted
+from tumble.inference.fits import MAGNETOMETER, chi_squares, left_out, outlier_weights, sigmas
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.magnetometer import DIP, Magnetometer
 from tumble.inference.maximum import Maximum, reintegrated_turns, take_step
 from tumble.inference.normal_equations import solve
-from tumble.inference.problem import Problem
 from tumble.rotation import UP, rotation_matrix, unit_vector
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import DEGREE, Array, BoolArray, IntArray
@@ -98,29 +97,14 @@ class MagnetometerEstimate:
     refused: str = ""
 
 
-def magnetic_readings(problem: Problem) -> tuple[Array, IntArray] | None:
-    """Return the readings (K, 3) of a magnetometer in its unit, rests before nodes, with the station (K,) of each; None
-    without a magnetometer."""
-    rests, links = problem.observations.rests, problem.observations.links
-    values, station = list[Array](), list[IntArray]()
-    if rests.magnetometer is not None:
-        values.append(rests.magnetometer)
-        station.append(problem.station)
-    if links is not None and links.magnetometer is not None:
-        values.append(links.magnetometer[links.magnetic])
-        station.append(links.before[links.magnetic])
-    return (np.concatenate(values), np.concatenate(station)) if values else None
-
-
 def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     """Add the magnetometer of a session to its first linearisation.
 
     Returns the linearisation and "", or the same linearisation and the reason why its readings cannot be used."""
     problem, about = start.problem, start.about
-    found = magnetic_readings(problem)
-    if found is None:
+    if problem.magnetic is None:
         return start, ""
-    readings, station = found
+    readings, _, _, station = problem.magnetic
     begun = start
     for _ in range(FIRST_STEPS):
         point, _ = take_step(solve(begun))
@@ -153,12 +137,7 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     u = np.concatenate([magnetometer.u, problem.local_u])
     problem = replace(problem, magnetometer=magnetometer, local_u=u, usual_local_u=u)
     begun = linearise(problem, replace(point, attitudes=turned, local=local), about)
-    N, links, of_reading = len(problem.station), problem.observations.links, np.where(kept, 1.0, OUTLIER_WEIGHTS[-1])
-    weights = [np.ones(n) for n in (N, N, len(problem.before_turn), N, len(problem.before_link))]
-    weights[3] = of_reading[:N]
-    if links is not None:
-        weights[4][links.magnetic] = of_reading[N:]
-    return replace(begun, noise=weighted(problem, begun.noise, weights)), ""
+    return replace(begun, noise=begun.noise.weighted(outlier_weights({"mag": ~kept}))), ""
 
 
 def by_attitudes(readings: Array, attitudes: Array, chain: IntArray) -> tuple[SensorModel, float, BoolArray] | None:
@@ -270,18 +249,16 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
         Posterior step of gravity and the parameters from the last linearisation.
     """
     problem, solution, links = fitted.problem, fitted.solution, fitted.problem.observations.links
-    magnetometer, found = problem.magnetometer, magnetic_readings(problem)
-    if magnetometer is None or found is None:
+    magnetometer = problem.magnetometer
+    if magnetometer is None or problem.magnetic is None:
         return None
-    readings, station = found
+    readings, _, _, station = problem.magnetic
     covariance, across = solution.session_covariance[1:, 1:], solution.roots[0, :DIP] @ solution.session_root[1:].T
     u = np.sqrt(covariance.diagonal())
     by_parameters = np.linalg.solve(covariance / np.outer(u, u), (across / u).T).T / u
     unknowns = fitted.point.local[0, : len(magnetometer.u)].copy()
     unknowns[:DIP] += by_parameters @ (step - solution.session_step)[1:]
-    model, (*_, mag, at_nodes) = magnetometer.model(unknowns), sigmas(solution)
-    *_, omitted, omitted_nodes = left_out(problem, fitted.linearisation.noise)
-    magnetic = np.zeros(0, dtype=bool) if links is None else links.magnetic
+    model, outliers = magnetometer.model(unknowns), left_out(fitted.linearisation.noise.weights)["mag"]
     rests = problem.observations.rests
     time = 0.5 * (rests.start + rests.stop) if links is None else links.time[station]
     marginal, fit = solution.session_covariances[0, :DIP, :DIP], chi_squares(solution)[MAGNETOMETER]
@@ -293,7 +270,6 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
             f"the readings scatter by {fit.scatter:.3g}, more than {100 * SCATTER_LIMIT:g} % of the field: the field "
             "is not the same in all of them; record away from steel"
         )
-    outliers = np.concatenate([omitted, omitted_nodes[magnetic]])
     agreeing = by_attitudes(readings, fitted.point.attitudes[station], problem.chain[station])
     disturbed = max(outliers.sum(), 0 if agreeing is None else np.sum(~agreeing[2]))
     if disturbed > MOST_DISTURBED * len(outliers):
@@ -311,7 +287,7 @@ def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate 
         dip=magnetometer.dip + float(unknowns[DIP]),
         fit=fit,
         left_out=outliers,
-        sigmas=np.concatenate([mag, at_nodes[magnetic]]),
+        sigmas=sigmas(solution)["mag"],
         off=np.linalg.norm(model.apply(readings), axis=1) - magnetometer.field,
         time=time,
         refused=refused,

@@ -33,20 +33,15 @@ import scipy
 from tumble.inference.fits import (
     LEAST_WEIGHT,
     OUTLIER_PROBABILITY,
-    OUTLIER_WEIGHTS,
     chi_square_falls,
     left_out,
+    outlier_weights,
     sigmas,
     student_weights,
-    weighted,
 )
 from tumble.inference.hyperparameters import (
     LEAST_DEGREES,
-    CorrelationTime,
-    GroupSize,
     Hyperparameters,
-    InRunSize,
-    Scatter,
     average_information,
     derivatives,
     hyperparameters_of,
@@ -54,7 +49,7 @@ from tumble.inference.hyperparameters import (
 )
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
-from tumble.inference.noise import NO_COMPONENTS, REST_SCATTER, SCATTER, VarianceComponents
+from tumble.inference.noise import NO_COMPONENTS, REST_SCATTER, SCATTER, STATIONS, VarianceComponents
 from tumble.inference.normal_equations import Solution, solve
 from tumble.inference.problem import Point, Problem
 from tumble.units import Array, BoolArray
@@ -178,14 +173,14 @@ def maximise(
         about, noise = reintegrated_turns(problem, point, linearisation.about), linearisation.noise
         weights = before = noise.weights
         if robust:
-            of_rows = student_weights(chi_square_falls(solution))
-            for w, out, least in zip(of_rows, left_out(problem, start.noise), OUTLIER_WEIGHTS, strict=True):
-                w[out & (w < LEAST_WEIGHT)] = least  # the scale of a Student-t distribution follows a fifth of the rows
-            weights = weighted(problem, noise, of_rows).weights
-        weights_settled = all(np.all(np.abs(a**2 - b**2) < WEIGHT_CHANGE) for a, b in zip(weights, before, strict=True))
+            of_rows, outliers = student_weights(chi_square_falls(solution)), left_out(start.noise.weights)
+            least = outlier_weights(outliers)  # the scale of a Student-t distribution follows a fifth of the rows
+            weights = before | {
+                kind: np.where(outliers[kind] & (w < LEAST_WEIGHT), least[kind], w) for kind, w in of_rows.items()
+            }
+        weights_settled = all(np.all(np.abs(weights[kind] - w) < WEIGHT_CHANGE) for kind, w in before.items())
         if len(increments) >= TO_AND_FRO:  # so that two rows do not get the low weight alternately
-            rest, turn, link = (np.sqrt(0.5 * (a**2 + b**2)) for a, b in zip(weights, before, strict=True))
-            weights = rest, turn, link
+            weights = {kind: 0.5 * (weights[kind] + w) for kind, w in before.items()}
         settled = negligible(solution) and about is linearisation.about and phi_settled and weights_settled
         if settled or len(increments) >= iterations:
             return Maximum(
@@ -198,7 +193,7 @@ def maximise(
                 converged=settled,
             )
         linearisation = linearise(problem, point, about)
-        linearisation = replace(linearisation, noise=linearisation.noise.weighted(*weights))
+        linearisation = replace(linearisation, noise=linearisation.noise.weighted(weights))
 
 
 def maximise_phi(
@@ -257,32 +252,32 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
         return best
     hyperparameters, starts = best.hyperparameters, list[tuple[float, Array]]()
     sizes = {h.name: float(h.value(p)) for h, p in zip(hyperparameters, best.phi, strict=True)}
-    absorbing = [h for h in hyperparameters if not (isinstance(h, CorrelationTime) or h.name in NOT_ABSORBING)]
+    absorbing = [h for h in hyperparameters if not (h.kind == "time" or h.name in NOT_ABSORBING)]
     far = [h for h in absorbing if sizes[h.name] > BEYOND * h.usual]
     share, turns = start.problem.bias_after, len(start.problem.before_turn) > 0
-    if any(isinstance(h, (Scatter, GroupSize)) for h in far):
+    if any(h.kind in {"scatter", "group"} for h in far):
         useless = [np.log(USELESS[h.name]) if h.name in USELESS else h.centre for h in hyperparameters]
         starts.append((share, np.array(useless)))
-    groups = np.array([isinstance(h, GroupSize) for h in hyperparameters], dtype=bool)
+    groups = np.array([h.kind == "group" for h in hyperparameters], dtype=bool)
     if far and groups.any():
         starts.append((share, np.where(groups, [WIDE * h.within for h in hyperparameters], hyperparameters.centre)))
     scatters = any(h.name in REST_SCATTER and sizes[h.name] > h.usual for h in hyperparameters)
-    if scatters or any(isinstance(h, InRunSize) for h in far):
+    if scatters or any(h.kind == "process" for h in far):
         anew = best.phi.copy()
         for i, h in enumerate(hyperparameters):
             if h.name in NOT_ABSORBING:
                 continue
-            if isinstance(h, CorrelationTime):
+            if h.kind == "time":
                 anew[i] = np.log(ANEW)
-            elif isinstance(h, InRunSize):
+            elif h.kind == "process":
                 anew[i] = np.log(np.hypot(sizes[h.name], sizes.get(h.name.removesuffix("_in_run"), 0.0)))
             elif h.name in REST_SCATTER:
                 anew[i] = h.centre
         starts += [(0.0, anew), (1.0, anew)] if turns else [(share, anew)]
     for bias_after, phi in starts:
-        problem = replace(start.problem, bias_after=bias_after)
         known = best if bias_after == best.linearisation.problem.bias_after else None
-        other = maximise(replace(start, problem=problem), phi, iterations, known=known)
+        first = start.again(replace(start.problem, bias_after=bias_after), start.point)
+        other = maximise(first, phi, iterations, known=known)
         if other.converged and other.solution.log_posterior > best.solution.log_posterior:
             best = other
     return best
@@ -290,41 +285,41 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
 
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
     """Return the maximum without rests and turns that are outliers; `fitted` itself if there are none."""
-    noise, groups = fitted.linearisation.noise, 3 if fitted.problem.magnetometer is None else 5
-    before, outliers = left_out(fitted.problem, noise), _outliers(fitted.solution)
-    used = [distance[~out] for distance, out in zip(sigmas(fitted.solution), before, strict=True)]
-    distances = np.concatenate(used[:groups])
+    before, outliers = left_out(fitted.linearisation.noise.weights), _outliers(fitted.solution)
+    distances = np.concatenate([distance[~before[kind]] for kind, distance in sigmas(fitted.solution).items()])
     p_value = 2.0 * scipy.special.ndtr(-distances.max(initial=0.0)) * len(distances)
-    confirmed = noise.whole or all(map(np.array_equal, outliers, before))
+    confirmed = fitted.linearisation.noise.whole or _same(outliers, before)
     if confirmed and (not len(distances) or p_value > OUTLIER_PROBABILITY):
         return fitted
     robust = maximise(fitted.linearisation, fitted.phi, iterations, robust=True)
     outliers = _outliers(robust.solution)
-    if confirmed and all(map(np.array_equal, outliers, before)):
+    if confirmed and _same(outliers, before):
         return fitted
     for _ in range(ROUNDS):
-        weights = [np.where(group, weight, 1.0) for group, weight in zip(outliers, OUTLIER_WEIGHTS, strict=True)]
-        noise = weighted(fitted.usual_problem, robust.linearisation.noise, weights)
+        noise = robust.linearisation.noise.weighted(outlier_weights(outliers))
         robust = maximise(replace(robust.linearisation, noise=noise), robust.phi, iterations)
-        still = [a & b for a, b in zip(outliers, _outliers(robust.solution), strict=True)]
-        if all(map(np.array_equal, outliers, still)):
+        still = {kind: outliers[kind] & out for kind, out in _outliers(robust.solution).items()}
+        if _same(outliers, still):
             break
         outliers = still
     return robust
 
 
-def _outliers(solution: Solution) -> list[BoolArray]:
-    """Return True, by group of `fits.Falls`, for rows so far from the fit that they are left out."""
-    return [w < LEAST_WEIGHT for w in student_weights(chi_square_falls(solution))]
+def _outliers(solution: Solution) -> dict[str, BoolArray]:
+    """Return True, by kind of rows, for blocks (K,) so far from the fit that they are left out."""
+    return left_out(student_weights(chi_square_falls(solution)))
+
+
+def _same(outliers: dict[str, BoolArray], others: dict[str, BoolArray]) -> bool:
+    return all(np.array_equal(out, others[kind]) for kind, out in outliers.items())
 
 
 def _estimable(solution: Solution) -> BoolArray:
     """Return for each component (c,) of variance whether the fit leaves enough degrees of freedom to estimate it."""
     degrees = np.zeros(len(SCATTER))
-    for W, (_, C), (Z, place) in solution.by_kind:
-        WZ = W @ Z
+    for _, _, C, WZ, component in solution.scatter:
         total, free = (WZ**2).sum(axis=1), (WZ * (C @ WZ)).sum(axis=1)
-        degrees += np.bincount(place, (free / np.where(total > 0.0, total, 1.0)).sum(axis=0), len(degrees))
+        degrees += np.bincount(component, (free / np.where(total > 0.0, total, 1.0)).sum(axis=0), len(degrees))
     return np.asarray(degrees > LEAST_DEGREES)
 
 
@@ -346,8 +341,7 @@ def take_step(solution: Solution, keep: bool = False) -> tuple[Point, Array]:
     share = 1.0 / max(1.0, float(np.max(np.abs(parameters[1:]) / problem.spread)))
     angles, chain = share * angles, problem.chain
     # scaled by chi-square per row: a heading from residuals far above the Earth's rate would oscillate
-    kinds = equations.rest_rows, equations.turn_rows, equations.link_rows
-    count = sum(rows.shape[0] * rows.shape[1] for rows in kinds)
+    count = sum(rows.shape[0] * rows.shape[1] for rows in equations.rows.values())
     hidden = np.bincount(chain, heading_information(solution)) < UNSEEN**-2 * max(1.0, solution.square / count)
     if (keep or hidden.any()) and problem.magnetometer is None:
         mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
@@ -384,10 +378,10 @@ def heading_information(solution: Solution) -> Array:
 
     A turn has information only on the common heading of both its stations."""
     equations, problem = solution.equations, solution.problem
-    d, n, information = equations.unknowns, problem.observations.accel_block.size, np.zeros(len(problem.link))
-    information[problem.station] = (equations.rest_rows[:, n:, 2] ** 2).sum(axis=1)
-    for rows, before in ((equations.turn_rows, problem.before_turn), (equations.link_rows, problem.before_link)):
-        information[before] += ((rows[:, :, 2] + rows[:, :, d + 2]) ** 2).sum(axis=1)
+    d, information = equations.unknowns, np.zeros(len(problem.chain))
+    for kind, rows in equations.rows.items():
+        by_heading = rows[:, :, 2] if STATIONS[kind] == 1 else rows[:, :, 2] + rows[:, :, d + 2]
+        information[problem.first[kind]] += (by_heading**2).sum(axis=1)
     return information
 
 

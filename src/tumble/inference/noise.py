@@ -22,6 +22,7 @@ mean over its rests, b + σ mean β.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -47,8 +48,11 @@ SCATTER_WORDS = {
 SCATTER = tuple(SCATTER_WORDS)  # components of variance, independent between rests and between turns
 REST_SCATTER, TURN_SCATTER, LINK_SCATTER = SCATTER[:2], SCATTER[2:8], SCATTER[8:10]
 CORRELATION_TIME = 300.0  # s: usual correlation time of an in-run bias
+# Kinds of rows of the likelihood, with the number of stations whose unknowns each row has: readings and attitudes at a
+# station, and turns and links from a station to the next.
+STATIONS = {"accel": 1, "gyro": 1, "attitude": 1, "mag": 1, "turn": 2, "link": 2}
 DISPLACEMENT, DISPLACEMENT_TIME = 0.02, 0.5  # m, s: usual displacement in the hand or on a pivot, and correlation time
-OMITTED = 2e-3  # square root of the weight below which a row is left out
+OMITTED = 4e-6  # weight below which a row is left out
 
 
 def typical_noise(covariance: Array) -> float:
@@ -115,11 +119,16 @@ class VarianceComponents:
         """True if in-run biases are not all zero."""
         return bool(np.any(self.accel_in_run) or np.any(self.gyro_in_run))
 
-    def in_run(self, accelerometers: int, gyros: int) -> tuple[Array, Array]:
-        """Return standard deviations and correlation times (n,) of the in-run biases of all sensors."""
-        by_kind = [self.accel_in_run, self.gyro_in_run], [self.accel_time, self.gyro_time]
-        sigma, tau = (_stacked(numbers).repeat((accelerometers, gyros), axis=-1) for numbers in by_kind)
-        return sigma * self.unlike if self.unlike.size else sigma, tau
+    def of_states(self, accelerometers: int, gyros: int, displacements: int = 0) -> tuple[Array, Array]:
+        """Return standard deviations and correlation times (s,) of these numbers of in-run biases and displacements."""
+        sizes = [self.accel_in_run, self.gyro_in_run, self.displacement]
+        times, counts = (
+            [self.accel_time, self.gyro_time, self.displacement_time],
+            (accelerometers, gyros, displacements),
+        )
+        sigma, tau = (_stacked(numbers).repeat(counts, axis=-1) for numbers in (sizes, times))
+        sigma[..., : self.unlike.shape[-1]] *= self.unlike
+        return sigma, tau
 
 
 NO_COMPONENTS = VarianceComponents()
@@ -135,21 +144,56 @@ def _stacked(numbers: list[Any]) -> Array:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class RowNoise:
+    """Noise of the rows of one kind: K blocks of r rows, which are independent of each other.
+
+    Parameters
+    ----------
+    sources : (K, r, r)
+        Covariances by source of uncertainty. Their sum is N, the noise without components of variance.
+    directions, component : (K, r, q) and (q,)
+        Directions Z of the components of variance, and the index of the component of each in SCATTER.
+    weight : (K,)
+        Weights, 1 except for outliers.
+    """
+
+    sources: Mapping[str, Array]
+    directions: Array
+    component: IntArray
+    weight: Array
+
+    @cached_property
+    def covariance(self) -> Array:
+        """The covariances N (K, r, r)."""
+        return np.asarray(sum(self.sources.values()))
+
+    @cached_property
+    def whole(self) -> bool:
+        """True if all blocks have full weight."""
+        return bool(np.all(self.weight == 1.0))
+
+    @cached_property
+    def kept_directions(self) -> Array:
+        """Directions Z, zero in blocks left out."""
+        return self.directions if self.whole else self.directions * (self.weight > OMITTED)[:, None, None]
+
+    @cached_property
+    def root_weights(self) -> Array:
+        """Square roots of the weights of single rows (K, r)."""
+        return np.repeat(np.sqrt(self.weight)[:, None], self.directions.shape[1], axis=1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseModel:
     """Noise of the residuals, with components of variance.
 
     Parameters
     ----------
-    rest, turn, link : (N, r, r), (K, t, t) and (J, l, l)
-        Covariances N of the residuals of rests, turns and links, without components of variance.
-    rest_directions, turn_directions, link_directions : ((N, r, q), (q,)), …
-        Directions Z of the components of variance, and the index of the component of each in SCATTER.
-    rest_weights, turn_weights, link_weights : (N, r), (K, t) and (J, l)
-        Square roots of weights of single rows, 1 except for outliers.
-    interval : (M,)
-        Time from the middle of each station to that of the next, s; infinite where a new chain of biases begins.
-    displaced : (M,)
-        The same for displacements, from node to node; None unless the device moves.
+    rows
+        Noise of the rows of each kind.
+    interval : (M, n) or (M, n + 3)
+        Time from each station to the next, s, for the bias of every sensor and, if the device moves, its displacements;
+        infinite where a new chain begins. It is the time between the middles of two rests.
     follows : (M,)
         True if another station of the same session follows.
     sensors : (2,)
@@ -158,36 +202,29 @@ class NoiseModel:
         Components of variance.
     """
 
-    rest: Array
-    turn: Array
-    link: Array
-    rest_directions: tuple[Array, IntArray]
-    turn_directions: tuple[Array, IntArray]
-    link_directions: tuple[Array, IntArray]
-    rest_weights: Array
-    turn_weights: Array
-    link_weights: Array
+    rows: Mapping[str, RowNoise]
     interval: Array
-    displaced: Array | None
     follows: BoolArray
     sensors: tuple[int, int]
     components: VarianceComponents = NO_COMPONENTS
 
     def at(self, components: VarianceComponents) -> NoiseModel:
-        """Return the noise with other components of variance, keeping the cached properties that do not depend on
-        them."""
-        out = replace(self, components=components)
-        vars(out).update(_unscaled_directions=self._unscaled_directions, whole=self.whole)
-        return out
+        """Return the noise with other components of variance."""
+        return replace(self, components=components)
 
     @property
-    def weights(self) -> tuple[Array, Array, Array]:
-        """Square roots of the weights of rests, turns and links."""
-        return self.rest_weights, self.turn_weights, self.link_weights
+    def weights(self) -> dict[str, Array]:
+        """Weights (K,) of the blocks, by kind of rows."""
+        return {kind: rows.weight for kind, rows in self.rows.items()}
 
-    def weighted(self, rest: Array, turn: Array, link: Array) -> NoiseModel:
-        """Return the noise with other square roots of weights."""
-        return replace(self, rest_weights=rest, turn_weights=turn, link_weights=link)
+    @property
+    def whole(self) -> bool:
+        """True if all rows have full weight."""
+        return all(rows.whole for rows in self.rows.values())
+
+    def weighted(self, weights: Mapping[str, Array]) -> NoiseModel:
+        """Return the noise with other weights (K,) of some kinds of rows."""
+        return replace(self, rows={k: replace(r, weight=weights.get(k, r.weight)) for k, r in self.rows.items()})
 
     @cached_property
     def variances(self) -> Array:
@@ -195,37 +232,23 @@ class NoiseModel:
         return self.components.variances
 
     @cached_property
-    def whole(self) -> bool:
-        """True if all rows have full weight."""
-        return all(bool(np.all(w == 1.0)) for w in self.weights)
+    def places(self) -> dict[str, slice]:
+        """Places of the accelerometers and of the gyros among all sensors."""
+        accelerometers, gyros = self.sensors
+        return {"accel": slice(accelerometers), "gyro": slice(accelerometers, accelerometers + gyros)}
 
     @cached_property
-    def _unscaled_directions(self) -> tuple[tuple[Array, IntArray], ...]:
-        """Directions Z of rests, turns and links, zero in rows left out, and their indices in SCATTER."""
-        directions = self.rest_directions, self.turn_directions, self.link_directions
-        if self.whole:
-            return directions
-        pairs = zip(directions, self.weights, strict=True)
-        return tuple((Z * (w > OMITTED)[:, :, None], place) for (Z, place), w in pairs)
-
-    @cached_property
-    def directions(self) -> tuple[tuple[Array, IntArray], ...]:
-        """Directions Z of rests, turns and links, multiplied by the factors of single sensors."""
-        (Z, place), *others = self._unscaled_directions
-        unlike = self.components.unlike
-        if not unlike.size:
-            return self._unscaled_directions
-        factors = np.ones((*unlike.shape[:-1], Z.shape[-1]))
-        factors[..., : unlike.shape[-1]] = unlike
-        return (Z * factors[..., None, None, :], place), *others
+    def directions(self) -> dict[str, Array]:
+        """Directions Z (K, r, q) by kind of rows, with the factors of single sensors, and zero in blocks left out."""
+        out, unlike = {kind: rows.kept_directions for kind, rows in self.rows.items()}, self.components.unlike
+        for kind in self.places.keys() & out.keys() if unlike.size else ():
+            out[kind] = out[kind] * unlike[..., None, None, self.places[kind]]
+        return out
 
     @property
-    def weighted_directions(self) -> tuple[tuple[Array, IntArray], ...]:
-        """`directions` divided by the weights, for use with a whitening, which contains the weights."""
-        if self.whole:
-            return self.directions
-        pairs = zip(self.directions, self.weights, strict=True)
-        return tuple((Z / w[:, :, None], place) for (Z, place), w in pairs)
+    def moves(self) -> bool:
+        """True if the device moves; then stations have velocities and displacements."""
+        return bool(self.interval.shape[1] > sum(self.sensors))
 
     @cached_property
     def biases(self) -> int:
@@ -235,45 +258,35 @@ class NoiseModel:
     @cached_property
     def states(self) -> int:
         """Number of states of a station: in-run biases, then three displacements of a moving device."""
-        return self.biases + (0 if self.displaced is None else 3)
+        return self.biases + 3 * self.moves
 
     @cached_property
     def unknowns(self) -> int:
         """Number d of unknowns of a station: three angles, three velocities of a moving device, and the states."""
-        return 3 + self.states + (0 if self.displaced is None else 3)
+        return 3 + 3 * self.moves + self.states
 
-    def whitening(self) -> tuple[Array, Array, Array]:
-        """Return inverse Cholesky factors of the covariances of rests (N, r, r), turns (K, t, t), links (J, l, l)."""
-        kinds = zip((self.rest, self.turn, self.link), self.directions, self.weights, strict=True)
-        rest, turn, link = (whitening(N, *directions, self.variances, w) for N, directions, w in kinds)
-        return rest, turn, link
-
-    def _with_displacements(self, biases: Array, displacements: Array | float) -> Array:
-        """Return values of all states from those of n biases and of the displacements."""
-        biases_only = biases if self.biases else biases[..., :0]
-        if self.displaced is None:
-            return biases_only
-        displaced = np.broadcast_to(np.asarray(displacements)[..., None], (*biases.shape[:-1], 3))
-        return np.concatenate([biases_only, displaced], axis=-1)
+    def whitening(self) -> dict[str, Array]:
+        """Return inverse Cholesky factors (K, r, r) of the covariances, by kind of rows."""
+        return {
+            kind: whitening(rows.covariance, self.directions[kind], rows.component, self.variances, rows.root_weights)
+            for kind, rows in self.rows.items()
+        }
 
     @cached_property
-    def _in_run(self) -> tuple[Array, Array]:
-        return self.components.in_run(*self.sensors)
+    def _of_states(self) -> tuple[Array, Array]:
+        return self.components.of_states(*self.sensors, 3 * self.moves)
 
-    @cached_property
+    @property
     def state_sigma(self) -> Array:
         """Standard deviation σ (s,) of every state, SI."""
-        return self._with_displacements(self._in_run[0], self.components.displacement)
+        sigma, _ = self._of_states
+        return sigma[..., sigma.shape[-1] - self.states :]
 
     @cached_property
     def state_lapse(self) -> Array:
         """Δt/τ (M, s) of every state from each station to the next."""
-        biases = np.asarray(self.interval[:, None] / self._in_run[1][..., None, :])
-        if self.displaced is None:
-            return self._with_displacements(biases, 0.0)
-        return self._with_displacements(
-            biases, self.displaced / np.asarray(self.components.displacement_time)[..., None]
-        )
+        first = self.interval.shape[1] - self.states
+        return np.asarray(self.interval[:, first:] / self._of_states[1][..., None, first:])
 
     @cached_property
     def state_rho(self) -> Array:

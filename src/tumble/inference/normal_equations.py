@@ -16,7 +16,7 @@ have the axes of the stack before those stated below.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -27,7 +27,7 @@ import scipy
 from tumble.inference.elimination import conditional_covariances, eliminate, fold, invert_factors, recur_backwards
 from tumble.inference.elimination_kernels import reduced_rows, residual_covariances
 from tumble.inference.linearisation import Linearisation
-from tumble.inference.noise import NoiseModel, VarianceComponents
+from tumble.inference.noise import STATIONS, NoiseModel, VarianceComponents
 from tumble.inference.problem import Problem
 from tumble.units import Array, IntArray
 
@@ -40,11 +40,12 @@ class NormalEquations:
     ----------
     noise
         Noise that whitens the rows.
-    rest_whitening, turn_whitening, link_whitening : (N, r, r), (K, t, t) and (J, l, l)
-        Σ^{−½} of rests, turns and links.
-    rest_rows, turn_rows, link_rows : (N, r, d + w), (K, t, 2 d + w) and (J, l, 2 d + w)
-        Whitened rows. Columns: the d unknowns of a rest, or of both stations of a turn or a link; the w − 1 shared
-        unknowns, namely the parameters of the session, gravity and the common parameters; the right-hand side.
+    whitening : (K, r, r)
+        Σ^{−½} by kind of rows.
+    rows : (K, r, d + w) or (K, r, 2 d + w)
+        Whitened rows by kind. Columns: the d unknowns of their station, or of both stations of a turn or a link; the
+        w − 1 shared unknowns, namely the parameters of the session, gravity and the common parameters; the right-hand
+        side.
     rest_factors : (M, d, 2 d + w)
         Triangular factors for the back-substitution of the unknowns of each station.
     session_factors : (S, w, w)
@@ -52,12 +53,8 @@ class NormalEquations:
     """
 
     noise: NoiseModel
-    rest_whitening: Array
-    turn_whitening: Array
-    link_whitening: Array
-    rest_rows: Array
-    turn_rows: Array
-    link_rows: Array
+    whitening: Mapping[str, Array]
+    rows: Mapping[str, Array]
     rest_factors: Array
     session_factors: Array
 
@@ -213,58 +210,38 @@ class Solution:
         """Covariances of the unknowns of each rest, and with those of the next, given the shared (2, N, d, d)."""
         return conditional_covariances(*self.equations.inverses)
 
-    @property
-    def row_blocks(self) -> tuple[tuple[Array, IntArray, list[slice]], ...]:
-        """For rests, turns and links: whitened rows, the first station of each, and the slice of each session."""
-        problem, equations = self.problem, self.equations
-        return (
-            (equations.rest_rows, problem.station, [part.rests for part in problem.parts]),
-            (equations.turn_rows, problem.before_turn, [part.turns for part in problem.parts]),
-            (equations.link_rows, problem.before_link, [slice(None)] * problem.moves),
-        )
-
-    @property
-    def by_kind(self) -> Iterator[tuple[Array, tuple[Array, Array], tuple[Array, IntArray]]]:
-        """For rests, turns and links: Σ^{−½}, residuals with covariances, and directions with indices in SCATTER."""
-        equations = self.equations
-        whitening = equations.rest_whitening, equations.turn_whitening, equations.link_whitening
-        residuals = self.rest_residuals, self.turn_residuals, self.link_residuals
-        return zip(whitening, residuals, equations.noise.weighted_directions, strict=True)
-
-    @property
-    def rest_residuals(self) -> tuple[Array, Array]:
-        """Whitened residuals (N, r) of the rests, and their covariances (N, r, r), below 1 by what the fit absorbs."""
-        return self._residuals[0]
-
-    @property
-    def turn_residuals(self) -> tuple[Array, Array]:
-        """Whitened residuals (K, t) of the turns and their covariances (K, t, t)."""
-        return self._residuals[1]
-
-    @property
-    def link_residuals(self) -> tuple[Array, Array]:
-        """Whitened residuals (J, l) of the links and their covariances (J, l, l)."""
-        return self._residuals[2]
-
     @cached_property
-    def _residuals(self) -> list[tuple[Array, Array]]:
-        """Residuals and covariances of rests, turns and links.
+    def residuals(self) -> dict[str, tuple[Array, Array]]:
+        """By kind of rows: whitened residuals (K, r), and their covariances (K, r, r), below 1 by what the fit absorbs.
 
         A are the coefficients of a row for the unknowns of its stations, of covariance S given the shared unknowns, and
         E those for the shared unknowns, directly and through the stations. The covariance of the residual is
 
             1 − A S Aᵀ − (E U)(E U)ᵀ"""
-        sensitivity, out = self.equations.sensitivity, list[tuple[Array, Array]]()
+        sensitivity, out = self.equations.sensitivity, dict[str, tuple[Array, Array]]()
         here, with_next = self.conditional_covariances
-        for rows, before, parts in self.row_blocks:
-            (K, t, columns), width = rows.shape, sensitivity.shape[-1]
-            residual, covariance, work = np.zeros((K, t)), np.zeros((K, t, t)), np.empty((t, columns - width))
-            for part, root, shared in zip(parts, self.roots, self.shared, strict=False):
-                of_part, along = (rows[part], before[part]), np.empty((len(before[part]), t, width - 1))
-                reduced_rows(*of_part, sensitivity, shared, residual[part], along)
+        for kind, rows in self.equations.rows.items():
+            (K, r, columns), width, first = rows.shape, sensitivity.shape[-1], self.problem.first[kind]
+            residual, covariance, work = np.zeros((K, r)), np.zeros((K, r, r)), np.empty((r, columns - width))
+            for part, root, shared in zip(self.problem.parts, self.roots, self.shared, strict=True):
+                at = part.rows[kind]
+                of_part, along = (rows[at], first[at]), np.empty((len(first[at]), r, width - 1))
+                reduced_rows(*of_part, sensitivity, shared, residual[at], along)
                 along = times_root(along, root)
-                residual_covariances(*of_part, here, with_next, along, covariance[part], work)
-            out.append((residual, covariance))
+                residual_covariances(*of_part, here, with_next, along, covariance[at], work)
+            out[kind] = residual, covariance
+        return out
+
+    @cached_property
+    def scatter(self) -> list[tuple[str, Array, Array, Array, IntArray]]:
+        """For every kind of rows its name, whitened residuals (K, r) with covariances (K, r, r), the whitened
+        directions (K, r, q) of its components of variance, and their indices (q,) in SCATTER."""
+        noise, out = self.equations.noise, list[tuple[str, Array, Array, Array, IntArray]]()
+        for kind, (residual, covariance) in self.residuals.items():
+            rows, Z = noise.rows[kind], noise.directions[kind]
+            if not rows.whole:  # the whitening contains the weights
+                Z = Z / rows.root_weights[:, :, None]
+            out.append((kind, residual, covariance, self.equations.whitening[kind] @ Z, rows.component))
         return out
 
 
@@ -279,78 +256,59 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
     """Return the normal equations of every session after elimination of its rests (22)."""
     problem, noise = linearisation.problem, linearisation.noise
     whitening = noise.whitening()
-    rest, turn, link = whiten(linearisation, *whitening)
+    rows = whitened_rows(linearisation, whitening)
+    at_stations, joints = rows_by_station(linearisation, rows)
     d, states = noise.unknowns, noise.states
-    *stack, _, _, width = rest.shape
-    factors, size = np.empty((*stack, len(problem.link), d, d + width)), width - d
+    *stack, M, _, width = at_stations.shape
+    factors, size = np.empty((*stack, M, d, d + width)), width - d
     triangles = np.swapaxes(np.zeros((*stack, len(problem.parts), size, size)), -1, -2)
-    at_stations, joints = rest, joint_rows(linearisation, turn, link) if states else turn
-    if problem.moves:  # the rows of the rests at their stations; nodes have none
-        r = rest.shape[-2] if len(problem.station) else 0
-        at_stations = np.zeros((*stack, len(problem.link), r, width))
-        at_stations[..., problem.station, :, :] = rest[..., :r, :]
     initial = np.zeros((d, d + width))  # states of the first station have unit variance
     initial[d - states :, d - states : d] = np.eye(states)
     for s, part in enumerate(problem.parts):
-        stations, between, links = part.stations, part.turns, part.link
-        if states:  # they join every two stations
-            between, links = stations, np.append(np.arange(len(part.link) - 1), -1)
+        stations = part.stations
+        link = np.append(np.arange(stations.stop - stations.start - 1), -1)
         for at in product(*map(range, stack)):
-            rows = at_stations[at][stations], joints[at][between]
-            eliminate(*rows, links, factors[at][stations], triangles[at][s], initial)
-    return NormalEquations(
-        noise=noise,
-        rest_whitening=whitening[0],
-        turn_whitening=whitening[1],
-        link_whitening=whitening[2],
-        rest_rows=rest,
-        turn_rows=turn,
-        link_rows=link,
-        rest_factors=factors,
-        session_factors=triangles,
-    )
+            of_part = at_stations[at][stations], joints[at][stations]
+            eliminate(*of_part, link, factors[at][stations], triangles[at][s], initial)
+    return NormalEquations(noise=noise, whitening=whitening, rows=rows, rest_factors=factors, session_factors=triangles)
 
 
-def whiten(
-    linearisation: Linearisation, rest_whitening: Array, turn_whitening: Array, link_whitening: Array
-) -> tuple[Array, Array, Array]:
-    """Return the whitened rows of rests, turns and links (`NormalEquations`)."""
+def whitened_rows(linearisation: Linearisation, whitening: Mapping[str, Array]) -> dict[str, Array]:
+    """Return the whitened rows by kind (`NormalEquations`), with in-run biases and displacements of unit variance."""
     problem, noise, s = linearisation.problem, linearisation.noise, linearisation.noise.states
-    n, d = sum(noise.sensors), noise.unknowns - noise.states
-    rows = linearisation.ordered
-    if noise.biases == 0:  # delete their columns
-        one, both = np.arange(d, d + n), np.r_[d : d + n, 2 * d + n + s : 2 * (d + n) + s]
-        rows = np.delete(rows[0], one, axis=2), np.delete(rows[1], both, axis=2), np.delete(rows[2], both, axis=2)
-    rest, turn, link = (W @ x for W, x in zip((rest_whitening, turn_whitening, link_whitening), rows, strict=True))
-    if s:
-        d, sigma = noise.unknowns, noise.state_sigma[..., None, None, :]
-        rest[..., d - s : d] *= sigma
-        for joint in (turn, link) if problem.moves else (turn,):
-            joint[..., d - s : d] *= sigma
-            joint[..., 2 * d - s : 2 * d] *= sigma
-    return rest, turn, link
+    d, out, biases = noise.unknowns, dict[str, Array](), np.arange(problem.of_station)[problem.bias_columns]
+    for kind, rows in linearisation.rows.items():
+        if noise.biases == 0:  # delete their columns
+            rows = np.delete(rows, [biases + e * problem.of_station for e in range(STATIONS[kind])], axis=2)
+        out[kind] = whitening[kind] @ rows
+        for last in range(d, (1 + STATIONS[kind]) * d, d) if s else ():
+            out[kind][..., last - s : last] *= noise.state_sigma[..., None, None, :]
+    return out
 
 
-def joint_rows(linearisation: Linearisation, turn: Array, link: Array) -> Array:
-    """Return the rows (M, t + l + s, 2 d + w) that join each station to the next.
+def rows_by_station(linearisation: Linearisation, rows: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Return whitened rows as those of every station (M, r, d + w), and those that join it to the next (M, t, 2 d + w).
 
-    These are the rows of its `turn` (K, t, 2 d + w) or of its `link` (J, l, 2 d + w), zero where there is none, and the
-    steps of the s states (19)."""
+    Rows are zero where a kind has none. The last of those that join are the steps of the s states (19)."""
     problem, noise = linearisation.problem, linearisation.noise
-    s, d = noise.states, noise.unknowns
-    turn = turn if len(problem.before_turn) else turn[..., :0, :]
-    *stack, _, t, width = turn.shape
-    k = link.shape[-2] if problem.moves else 0
-    joints = np.zeros((*stack, len(problem.link), t + k + s, width))
-    joints[..., problem.before_turn, :t, :] = turn
-    if problem.moves:
-        joints[..., problem.before_link, t : t + k, :] = link
-    if s == 0:
-        return joints
-    state, here, step = np.arange(s), np.flatnonzero(noise.follows)[:, None], noise.state_step[..., noise.follows, :]
-    joints[..., here, t + k + state, d - s + state] = -noise.state_rho[..., noise.follows, :] / step
-    joints[..., here, t + k + state, 2 * d - s + state] = 1.0 / step
-    return joints
+    s, d, M, out = noise.states, noise.unknowns, len(problem.chain), list[Array]()
+    for stations, more in ((1, 0), (2, s)):
+        kinds = {kind: each for kind, each in rows.items() if STATIONS[kind] == stations}
+        *stack, _, _, width = rows["accel" if stations == 1 else "turn"].shape
+        height = sum(each.shape[-2] for each in kinds.values() if each.shape[-3]) + more
+        out.append(np.zeros((*stack, M, height, width)))
+        last = 0
+        for kind, each in kinds.items():
+            if each.shape[-3]:
+                last += each.shape[-2]
+                out[-1][..., problem.first[kind], last - each.shape[-2] : last, :] = each
+    at_stations, joints = out
+    if s:
+        here, step = np.flatnonzero(noise.follows)[:, None], noise.state_step[..., noise.follows, :]
+        state = np.arange(s)
+        joints[..., here, state - s, d - s + state] = -noise.state_rho[..., noise.follows, :] / step
+        joints[..., here, state - s, 2 * d - s + state] = 1.0 / step
+    return at_stations, joints
 
 
 def add_priors(linearisation: Linearisation, equations: NormalEquations, **at_phi: Array) -> Solution:
@@ -424,8 +382,8 @@ def with_local_prior(local_u: Array, factor: Array, residual: Array) -> Array:
 
 def rests_deviance(equations: NormalEquations) -> Array:
     """Return ln |V| + 2 Σ ln |diag R| over the rows and the unknowns of the rests."""
-    noise, kinds = equations.noise, (equations.rest_whitening, equations.turn_whitening, equations.link_whitening)
-    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1)) for W in kinds)
+    noise = equations.noise
+    whitened = sum(np.log(W.diagonal(0, -2, -1)).sum(axis=(-2, -1)) for W in equations.whitening.values())
     steps = np.log(noise.state_step[..., noise.follows, :]).sum(axis=(-2, -1)) if noise.states else 0.0
     return np.asarray(2.0 * (_logarithms(equations.rest_factors.diagonal(0, -2, -1)).sum(axis=-1) + steps - whitened))
 

@@ -41,13 +41,13 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.magnetometer import Magnetometer
-from tumble.inference.noise import SCATTER, NoiseModel
+from tumble.inference.noise import SCATTER, STATIONS, NoiseModel, RowNoise
 from tumble.inference.variables import GROWING, KINDS, Variables, variables_of
 from tumble.reduction.observations import Observations
 from tumble.reduction.turns.links import PARTS
@@ -61,7 +61,8 @@ LEVER_COLUMNS, SUPPORT_COLUMNS = 3, 32  # unknowns of the lever from the pivot, 
 LEVER_U, SUPPORT_U = 0.5, 0.01  # m: standard deviations of their priors
 LEAST_FIELD = 1e-6  # smallest standard deviation of a magnetometer reading, relative to the field
 LAG_HELD = 1e-3  # s: prior standard deviation of a lag that is held fixed
-MAGNETIC_ROWS = slice(9, 12)  # rows of a link that hold the magnetometer at the node before it
+# Components of variance of turns: of rotations, velocities and redundant gyros, then by jumps between samples.
+OF_TURNS = "turn", "velocity", "apart", "jumps", "aliased_apart", "aliased"
 SESSION_VARIABLES: tuple[Variable, ...] = ("time", "launch")  # variables of the changes that each session has
 
 
@@ -164,18 +165,32 @@ def support_columns(attitudes: Array) -> Array:
     return np.concatenate([sagging, bending], axis=2)
 
 
+class MagneticReadings(NamedTuple):
+    """Readings (K, 3) of a magnetometer, in its unit, at rests and then at nodes, with covariances (K, 3, 3), the rates
+    of the body (K, 3), rad/s, and the stations (K,)."""
+
+    values: Array
+    covariance: Array
+    rates: Array
+    station: IntArray
+
+
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class SessionSpan:
-    """Slices of one session in the rests, stations and turns of all sessions.
+    """Slices of one session in the stations and in the blocks of rows of each kind of all sessions."""
 
-    `link` is, for each station of the session, the number of its turn in the session, or −1; `first` (K,) is the
-    station in the session before each turn."""
-
-    rests: slice
     stations: slice
-    turns: slice
-    link: IntArray
-    first: IntArray
+    rows: Mapping[str, slice]
+
+    @property
+    def rests(self) -> slice:
+        """Slice of the rests."""
+        return self.rows["accel"]
+
+    @property
+    def turns(self) -> slice:
+        """Slice of the turns."""
+        return self.rows["turn"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -186,12 +201,6 @@ class Problem:
     ----------
     observations, instrument, prior
         Observations, the parameters common to all sessions, and prior knowledge.
-    link : (M,)
-        The turn after each station, or −1. Stations are the rests and, of a moving device, the nodes between them.
-    chain : (M,)
-        Number of the chain of turns and links that each station belongs to.
-    station : (N,)
-        The station of each rest.
     earth : (3,)
         The Earth's rate, rad/s: zero without a latitude, and its vertical part only if `earth_in_biases`.
     earth_in_biases
@@ -201,20 +210,12 @@ class Problem:
         Prior means and standard deviations of gravity and the parameters; `prior_u[0]` is 0 if gravity is exact.
     usual_u : (1 + m,)
         `prior_u` with every group of its usual size.
-    variables
-        The variables with which parameters change.
-    parts
-        Slices of the sessions.
-    of_session : ((N,), (K,))
-        The session of every rest and of every turn.
-    before_turn : (K,)
-        The station before each turn.
     local
         Instrument whose further groups each session has for itself; None for a single session.
     local_u, usual_local_u : (q,)
         Prior standard deviations of the parameters of a session, and those of usual size.
     at_lags
-        Lags for which `variables` were computed, s.
+        Lags of the sensor temperatures behind the thermometers, s, by kind of sensor.
     magnetometer
         The magnetometer, whose unknowns come first among the parameters of a session; None without one.
     bias_after
@@ -224,22 +225,15 @@ class Problem:
     observations: Observations
     instrument: Instrument
     prior: Prior
-    link: IntArray
-    chain: IntArray
-    station: IntArray
     earth: Array
     earth_in_biases: bool
     prior_mean: Array
     prior_u: Array
     usual_u: Array
-    variables: Variables
-    parts: tuple[SessionSpan, ...]
-    of_session: tuple[IntArray, IntArray]
-    before_turn: IntArray
     local: Instrument | None
     local_u: Array
     usual_local_u: Array
-    at_lags: tuple[float, ...] = ()
+    at_lags: Mapping[str, float] = field(default_factory=dict)
     bias_after: float = 0.5
     magnetometer: Magnetometer | None = None
 
@@ -272,17 +266,9 @@ class Problem:
         """
         accel, gyro, site = observations.accel_block, observations.gyro_block, observations.site
         instrument = instrument or Instrument(accel=accel, gyro=gyro)
-        turns, links, N = observations.turns, observations.links, len(observations.rests)
-        station = np.arange(N) if links is None else links.rest
-        link = np.full(N if links is None else len(links.time), -1, dtype=np.int64)
-        before_turn = np.zeros(0, dtype=np.int64) if turns is None else station[turns.first]
-        if turns is not None and len(turns):
-            if np.any(turns.last != turns.first + 1) or np.bincount(turns.first).max() > 1:
-                raise ValueError("turns: expected at most one between neighbouring rests, found others")
-            link[before_turn] = np.arange(len(turns))
-        joined = link >= 0
-        if links is not None:
-            joined[links.before] = True
+        turns, links = observations.turns, observations.links
+        if turns is not None and (np.any(turns.last != turns.first + 1) or np.any(np.bincount(turns.first) > 1)):
+            raise ValueError("turns: expected at most one between neighbouring rests, found others")
         u = limits_of(instrument.names)
         for name, members in instrument.members.items():
             u[members] = (usual or {}).get(name, u[members])
@@ -296,19 +282,6 @@ class Problem:
             local_u = np.append(local_u, np.full(len(group.names(local.block(group))), size))  # type: ignore[union-attr]
         if links is not None:
             local_u = np.concatenate([local_u, np.full(LEVER_COLUMNS, LEVER_U), np.full(SUPPORT_COLUMNS, SUPPORT_U)])
-        session = np.zeros(len(link), dtype=np.int64) if observations.session is None else observations.session
-        numbers = np.arange(session[-1] + 2)
-        edges, turn_edges = np.searchsorted(session, numbers), np.searchsorted(session[before_turn], numbers)
-        parts = tuple(
-            SessionSpan(
-                rests=slice(*np.searchsorted(station, [start_station, end]).tolist()),
-                stations=slice(start_station, end),
-                turns=slice(turn, turn_end),
-                link=np.where(link[start_station:end] < 0, -1, link[start_station:end] - turn),
-                first=before_turn[turn:turn_end] - start_station,
-            )
-            for start_station, end, turn, turn_end in zip(edges, edges[1:], turn_edges, turn_edges[1:], strict=False)
-        )
         prior_u = np.append(site.gravity_u, u)
         earth = np.zeros(3) if site.latitude is None else np.array(earth_rate(site.latitude))
         earth_in_biases = prior.covariance is None and observations.one_attitude
@@ -318,18 +291,11 @@ class Problem:
             observations=observations,
             instrument=instrument,
             prior=prior,
-            link=link,
-            chain=np.append(0, np.cumsum(~joined[:-1])),
-            station=station,
             earth=earth,
             earth_in_biases=earth_in_biases,
             prior_mean=np.append(site.gravity, start),
             prior_u=prior_u,
             usual_u=prior_u,
-            variables=variables_of(observations),
-            parts=parts,
-            of_session=(session[station], session[before_turn]),
-            before_turn=before_turn,
             local=local,
             local_u=local_u,
             usual_local_u=local_u,
@@ -367,11 +333,70 @@ class Problem:
         """True if there are links; then stations have velocities and displacements."""
         return self.observations.links is not None
 
-    @property
-    def before_link(self) -> IntArray:
-        """The station before each link (J,)."""
+    @cached_property
+    def station(self) -> IntArray:
+        """Station of each rest (N,). Stations are the rests and, of a moving device, the nodes between them."""
         links = self.observations.links
-        return np.zeros(0, dtype=np.int64) if links is None else links.before
+        return np.arange(len(self.observations.rests)) if links is None else links.rest
+
+    @property
+    def before_turn(self) -> IntArray:
+        """Station before each turn (K,)."""
+        turns = self.observations.turns
+        return self.station[np.zeros(0, dtype=np.int64) if turns is None else turns.first]
+
+    @cached_property
+    def first(self) -> dict[str, IntArray]:
+        """Kinds of rows, with the first station of each of their blocks."""
+        out = dict[str, IntArray]()
+        out |= {block.kind: self.station for block in self.instrument.blocks}
+        if self.prior.attitude is not None:
+            out["attitude"] = self.station
+        if self.magnetometer is not None and self.magnetic is not None:
+            out["mag"] = self.magnetic.station
+        out["turn"] = self.before_turn
+        return out if self.observations.links is None else out | {"link": self.observations.links.before}
+
+    @cached_property
+    def chain(self) -> IntArray:
+        """Number of the chain of turns and links that each station (M,) belongs to."""
+        links = self.observations.links
+        joined = np.zeros(len(self.station if links is None else links.time), dtype=bool)
+        for kind in self.first.keys() & {"turn", "link"}:
+            joined[self.first[kind]] = True
+        return np.append(0, np.cumsum(~joined[:-1]))
+
+    @cached_property
+    def session(self) -> IntArray:
+        """Number of the session of each station (M,)."""
+        session = self.observations.session
+        return np.zeros(len(self.chain), dtype=np.int64) if session is None else session
+
+    @cached_property
+    def parts(self) -> tuple[SessionSpan, ...]:
+        """Slices of the sessions."""
+        stations = np.searchsorted(self.session, np.arange(self.session[-1] + 2)).tolist()
+        edges = {kind: np.searchsorted(first, stations).tolist() for kind, first in self.first.items()}
+        return tuple(
+            SessionSpan(
+                stations=slice(*stations[s : s + 2]), rows={kind: slice(*at[s : s + 2]) for kind, at in edges.items()}
+            )
+            for s in range(len(stations) - 1)
+        )
+
+    @cached_property
+    def magnetic(self) -> MagneticReadings | None:
+        """Readings of the magnetometer at the stations; None without them."""
+        rests, links = self.observations.rests, self.observations.links
+        parts = list[tuple[Array, Array, Array, IntArray]]()
+        if rests.magnetometer is not None and rests.magnetometer_covariance is not None:
+            still = np.zeros_like(rests.magnetometer)
+            parts.append((rests.magnetometer, rests.magnetometer_covariance, still, self.station))
+        if links is not None and links.magnetometer is not None:
+            seen = links.magnetic
+            covariance = np.broadcast_to(links.magnetometer_variance * np.eye(3), (seen.sum(), 3, 3))
+            parts.append((links.magnetometer[seen], covariance, links.rates[::PARTS, 0][seen], links.before[seen]))
+        return MagneticReadings(*map(np.concatenate, zip(*parts, strict=True))) if parts else None
 
     @property
     def sensors(self) -> int:
@@ -385,10 +410,8 @@ class Problem:
         return {kind: members[f"{kind}.lag"].start for kind in KINDS if f"{kind}.lag" in members}
 
     def _changed(self, **fields: Any) -> Problem:
-        """Return the problem with other fields, keeping cached properties."""
+        """Return the problem with other fields, keeping the cached properties that do not depend on them."""
         out = copy(self)
-        if "variables" in fields:
-            vars(out).pop("regressors", None)
         vars(out).update(fields)
         return out
 
@@ -405,23 +428,36 @@ class Problem:
     def with_lags_at(self, point: Point) -> Problem:
         """Return the problem with the sensor temperatures that follow from the lags at a point."""
         lags = {kind: float(point.values[at]) for kind, at in self.lags.items()}
-        if tuple(lags.values()) == self.at_lags:
+        if lags == self.at_lags:
             return self
-        return self._changed(variables=variables_of(self.observations, lags), at_lags=tuple(lags.values()))
+        out = self._changed(at_lags=lags)
+        for depending in ("variables", "regressors"):
+            vars(out).pop(depending, None)
+        return out
+
+    @cached_property
+    def variables(self) -> Variables:
+        """The variables with which parameters change."""
+        return variables_of(self.observations, self.at_lags)
 
     @cached_property
     def change_columns(self) -> tuple[IntArray, IntArray]:
         """Places (c,) of the parameters that are changes of others, and places (c,) of these others."""
-        places, empty = np.arange(self.width), np.arange(0)
+        places, empty = np.arange(len(self.instrument.names) + len(self.local_u)), np.arange(0)
         columns = np.concatenate([empty, *(places[columns] for columns, _, _ in self.changes)])
         return columns, np.concatenate([empty, *(places[base] for _, base, _ in self.changes)])
+
+    def columns_of(self, places: IntArray) -> IntArray:
+        """Return the columns of rows (`zero_rows`), from the last, for parameters at these places."""
+        m, q = len(self.instrument.names), len(self.local_u)
+        return np.where(places < m, places - 1 - m, places - 2 - 2 * m - q)
 
     @cached_property
     def regressors(self) -> tuple[Array, Array, Array]:
         """Regressors of the changes at rest (N, c) and in the turns (K, c), and their growth there, 1/s (K, c)."""
 
-        def at(place: int) -> Array:
-            rows, columns = len(self.of_session[min(place, 1)]), list[Array]()
+        def at(place: int, rows: int) -> Array:
+            columns = list[Array]()
             for members, _, variable in self.changes:
                 values = self.variables[variable][place]
                 if values.shape[1] > 1:  # each parameter has the temperature of its sensor
@@ -430,15 +466,14 @@ class Problem:
                 columns.append(np.broadcast_to(values, (rows, members.stop - members.start)))
             return np.concatenate([np.zeros((rows, 0)), *columns], axis=1)
 
-        return at(0), at(1), at(GROWING)
+        turns = len(self.before_turn)
+        return at(0, len(self.station)), at(1, turns), at(GROWING, turns)
 
-    def change_values(self, point: Point, place: int) -> Array:
-        """Return the values (·, c) of the changes at every rest (`place` 0) or turn (1), those of its session."""
-        session, columns = self.of_session[place], self.change_columns[0]
-        if not len(self.local_u):
-            return np.broadcast_to(point.values[columns], (len(session), len(columns)))
+    def change_values(self, point: Point, stations: IntArray) -> Array:
+        """Return the values (K, c) of the changes in the sessions of stations (K,)."""
         common = np.broadcast_to(point.values, (len(point.local), len(point.values)))
-        return np.asarray(np.concatenate([common, point.local], axis=1)[:, columns][session])
+        every = np.concatenate([common, point.local], axis=1)
+        return np.asarray(every[:, self.change_columns[0]][self.session[stations]])
 
     @cached_property
     def noise(self) -> NoiseModel:
@@ -472,15 +507,24 @@ class Problem:
         return np.sqrt(links.gyro_density * seconds), np.sqrt(links.accel_density * seconds)
 
     @property
-    def width(self) -> int:
-        """Number of common parameters and of those of a session."""
-        return len(self.instrument.names) + len(self.local_u)
+    def bias_columns(self) -> slice:
+        """Columns of rows for the biases of all sensors at the first station."""
+        first = 6 if self.moves else 3
+        return slice(first, first + self.sensors)
 
-    @cached_property
-    def earth_turned(self) -> Array:
-        """Rotations e^{−[Ω×]T} (K, 3, 3) of the turns."""
-        turns = self.observations.turns
-        return np.zeros((0, 3, 3)) if turns is None else rotation_matrix(-turns.duration[:, None] * self.earth)
+    @property
+    def of_station(self) -> int:
+        """Number of columns of rows for the unknowns of a station."""
+        return int(self.bias_columns.stop) + 3 * self.moves
+
+    def zero_rows(self, kind: str, rows: int) -> Array:
+        """Return zero rows (K, rows, ·) of a kind.
+
+        Columns: for each station the three angles, three velocities of a moving device, the biases of all sensors and
+        three displacements of a moving device; then, at the end, the parameters of the session, gravity, the common
+        parameters, and the residual, observed less predicted."""
+        shared = len(self.local_u) + len(self.instrument.names) + 2
+        return np.zeros((len(self.first[kind]), rows, STATIONS[kind] * self.of_station + shared))
 
     def coefficient_changes(self, point: Point) -> Array | None:
         """Return the changes (K, n, 15) of the coefficients in the turns by time, temperature or launch.
@@ -489,7 +533,7 @@ class Problem:
         if not self.changes:
             return None
         D = self.instrument.linearised(point.values)[1][:, :, self.change_columns[1]]
-        change = self.with_lags_at(point).regressors[1] * self.change_values(point, 1)
+        change = self.with_lags_at(point).regressors[1] * self.change_values(point, self.before_turn)
         return np.asarray(change @ D.reshape(-1, D.shape[2]).T).reshape(len(change), *D.shape[:2])
 
     @cached_property
@@ -523,30 +567,6 @@ def instruments_of(observations: Observations) -> tuple[Instrument, Instrument |
 # -------------------- noise --------------------
 
 
-def noise_model(problem: Problem, noise: NoiseModel, gained: Array) -> NoiseModel:
-    """Add to the noise of turns the errors of velocity that errors of rotation cause, (16) and (17).
-
-    Parameters
-    ----------
-    problem, noise
-        The problem, and the part of its noise that does not depend on the attitudes.
-    gained : (K, 3)
-        Velocity, m/s, that gravity gives each turn, in the body at its start. An error of rotation on the way turns it.
-    """
-    turns, (Z, component) = problem.observations.turns, noise.turn_directions
-    if turns is None or not len(Z) or not problem.instrument.in_velocities:
-        return noise
-    across, Z, turn = skew(-0.5 * gained), Z.copy(), noise.turn.copy()
-    rotation, constant = turn[:, :3, :3], turns.duration[:, None, None] ** 2 * unknown_earth_variance(problem)
-    by_rotation = across @ (rotation - constant * np.eye(3)) @ np.swapaxes(across, 1, 2)
-    turn[:, 3:6, :3] = across @ rotation
-    turn[:, :3, 3:6] = np.swapaxes(turn[:, 3:6, :3], 1, 2)
-    turn[:, 3:6, 3:6] += turns.arising[:, None, None] * by_rotation
-    turn[:, 3:6, 3:6] += constant * across @ np.swapaxes(across, 1, 2)
-    Z[:, 3:6, -3:] = across @ Z[:, :3, -3:]
-    return replace(noise, turn=turn, turn_directions=(Z, component))
-
-
 def unknown_earth_variance(problem: Problem) -> float:
     """Return the variance, rad²/s² per axis, of the Earth's rate if the latitude is unknown and the biases are not."""
     unknown = problem.observations.site.latitude is None and not problem.earth_in_biases
@@ -554,71 +574,89 @@ def unknown_earth_variance(problem: Problem) -> float:
 
 
 def _constant_noise(problem: Problem) -> NoiseModel:
-    """Return the noise without the errors of velocity by errors of rotation."""
-    observations, rests, turns = problem.observations, problem.observations.rests, problem.observations.turns
-    gyro, n, earth = observations.gyro_block, rests.accel.shape[1], unknown_earth_variance(problem)
-    blocks = [rests.accel_covariance]
-    if gyro is not None:
-        blocks.append(rests.gyro_covariance + earth * gyro.axes @ gyro.axes.T)
+    """Return the noise of all rows but links, without the errors of velocity by errors of rotation."""
+    observations, rests, earth = problem.observations, problem.observations.rests, unknown_earth_variance(problem)
+    N, gyro, links = len(rests), observations.gyro_block, observations.links
+    rows = {"accel": _noise_at_stations("accel", {"accel.noise": rests.accel_covariance})}
+    if problem.instrument.gyro is not None and gyro is not None:
+        sources = {"gyro.noise": rests.gyro_covariance}
+        if earth > 0.0:
+            sources["earth"] = np.broadcast_to(earth * gyro.axes @ gyro.axes.T, rests.gyro_covariance.shape)
+        rows["gyro"] = _noise_at_stations("gyro", sources)
     if problem.prior.attitude is not None:
-        blocks.append(np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3)))
-    mag = 0 if problem.magnetometer is None else 3
-    if problem.magnetometer is not None:
-        assert rests.magnetometer_covariance is not None
-        blocks.append(rests.magnetometer_covariance + (LEAST_FIELD * problem.magnetometer.field) ** 2 * np.eye(3))
-    rest, t, v = _block_diagonal(blocks), problem.rows_of_turn, 3 if problem.instrument.in_velocities else 0
-    sensors, spare = n + rests.gyro.shape[1], t - v - 3
-    along = np.zeros((rest.shape[1], sensors + mag))
-    along[:sensors, :sensors], along[rest.shape[1] - mag :, sensors:] = np.eye(sensors), np.eye(mag)
-    at_rest = np.broadcast_to(along, (len(rests), *along.shape))
-    rest_places = np.repeat([0, 1, SCATTER.index("mag")], [n, sensors - n, mag])
-    turn_places = np.repeat([2, 3, 4, 5, 7, 6], [3, v, spare, v, spare, 3])  # in SCATTER
-    turn, Z = np.zeros((0, t, t)), np.zeros((len(problem.before_turn), t, len(turn_places)))
-    if turns is not None and len(turns):
-        blocks = [turns.covariance + turns.duration[:, None, None] ** 2 * earth * np.eye(3)]
-        if v:
-            blocks.append(turns.velocity_covariance)
-        if (readings := observations.turn_readings) is not None:
-            assert gyro is not None
-            free = left_null_space(gyro.axes)
-            blocks.append(free @ readings.covariance @ free.T)
-        turn, jumps, aliased = _block_diagonal(blocks), np.sqrt(turns.jumps), np.sqrt(turns.aliased)
-        Z[:, :, :t] = np.eye(t)
-        Z[turns.duration <= 0.0, : 3 + v] = 0.0  # there is no turn between the parts of one rest
-        Z[:, 3 : 3 + v, t : t + v] = jumps[:, None, None] * np.eye(v)
-        Z[:, 3 + v :, t + v : -3] = aliased[:, None, None] * np.eye(spare)
-        Z[:, :3, -3:] = aliased[:, None, None] * np.eye(3)
-    links = observations.links
+        attitude = np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (N, 3, 3))
+        rows["attitude"] = _noise_at_stations("attitude", {"attitude": attitude})
+    if problem.magnetometer is not None and problem.magnetic is not None:
+        least = (LEAST_FIELD * problem.magnetometer.field) ** 2 * np.eye(3)
+        rows["mag"] = _noise_at_stations("mag", {"mag.noise": problem.magnetic.covariance + least})
+    rows["turn"] = _noise_of_turns(problem)
+
     file, time = (rests.file, 0.5 * (rests.start + rests.stop)) if links is None else (links.file, links.time)
     follows = np.ones(len(time), dtype=bool)
     follows[[part.stations.stop - 1 for part in problem.parts]] = False
-    interval = np.append(np.where(file[1:] == file[:-1], np.abs(np.diff(time)), np.inf), np.inf)
-    displaced = np.full(len(interval), np.inf)
+    interval = np.full((len(time), problem.sensors + 3 * problem.moves), np.inf)
+    interval[:-1, : problem.sensors] = np.where(file[1:] == file[:-1], np.abs(np.diff(time)), np.inf)[:, None]
     if links is not None:
-        displaced[links.before[links.free]] = links.duration[links.free]
+        interval[links.before[links.free], problem.sensors :] = links.duration[links.free][:, None]
     return NoiseModel(
-        rest=rest,
-        turn=turn,
-        link=np.zeros((0, 9, 9)),
-        link_weights=np.ones((len(problem.before_link), 9 + mag * problem.moves)),
-        rest_directions=(at_rest, rest_places),
-        turn_directions=(Z, turn_places),
-        link_directions=(np.zeros((0, 9, 0)), np.zeros(0, dtype=np.int64)),
-        rest_weights=np.ones(rest.shape[:2]),
-        turn_weights=np.ones(turn.shape[:2]),
+        rows=rows,
         interval=interval,
-        displaced=None if links is None else displaced,
         follows=follows,
         sensors=(problem.instrument.accel.size, problem.sensors - problem.instrument.accel.size),
     )
 
 
-def _block_diagonal(blocks: list[Array]) -> Array:
-    """Return covariances (N, n, n) as one block-diagonal covariance."""
-    size, first = sum(block.shape[-1] for block in blocks), 0
-    out = np.zeros((len(blocks[0]), size, size))
-    for block in blocks:
-        last = first + block.shape[-1]
-        out[:, first:last, first:last] = block
-        first = last
-    return out
+def _noise_at_stations(kind: str, sources: Mapping[str, Array]) -> RowNoise:
+    """Return the noise of rows with a component of variance of this name, if there is one, that is alike in each."""
+    K, r, _ = next(iter(sources.values())).shape
+    component = np.full(r if kind in SCATTER else 0, SCATTER.index(kind) if kind in SCATTER else 0)
+    directions = np.broadcast_to(np.eye(r, len(component)), (K, r, len(component)))
+    return RowNoise(sources=sources, directions=directions, component=component, weight=np.ones(K))
+
+
+def _noise_of_turns(problem: Problem) -> RowNoise:
+    """Return the noise of turns without the errors of velocity by errors of rotation."""
+    turns, readings, gyro = problem.observations.turns, problem.observations.turn_readings, problem.instrument.gyro
+    K, t, v, earth = len(problem.before_turn), problem.rows_of_turn, 3 if problem.instrument.in_velocities else 0, 0.0
+    spare = t - v - 3
+    sources = {"turn.gyro.noise": np.zeros((K, t, t))}
+    component = np.repeat([SCATTER.index(name) for name in OF_TURNS], [3, v, spare, v, spare, 3])
+    Z = np.zeros((K, t, len(component)))
+    if turns is not None and K:
+        sources["turn.gyro.noise"][:, :3, :3] = turns.covariance
+        if readings is not None and gyro is not None:
+            free = left_null_space(gyro.axes)
+            sources["turn.gyro.noise"][:, 3 + v :, 3 + v :] = free @ readings.covariance @ free.T
+        if v:
+            sources["turn.accel.noise"] = np.zeros((K, t, t))
+            sources["turn.accel.noise"][:, 3:6, 3:6] = turns.velocity_covariance
+        if (earth := unknown_earth_variance(problem)) > 0.0:
+            sources["earth"] = np.zeros((K, t, t))
+            sources["earth"][:, :3, :3] = turns.duration[:, None, None] ** 2 * earth * np.eye(3)
+        jumps, aliased = np.sqrt(turns.jumps)[:, None, None], np.sqrt(turns.aliased)[:, None, None]
+        Z[:, :, :t] = np.eye(t)
+        Z[turns.duration <= 0.0, : 3 + v] = 0.0  # there is no turn between the parts of one rest
+        Z[:, 3 : 3 + v, t : t + v] = jumps * np.eye(v)
+        Z[:, 3 + v :, t + v : -3] = aliased * np.eye(spare)
+        Z[:, :3, -3:] = aliased * np.eye(3)
+    return RowNoise(sources=sources, directions=Z, component=component, weight=np.ones(K))
+
+
+def with_errors_of_velocity(problem: Problem, rows: RowNoise, gained: Array) -> RowNoise:
+    """Add to the noise of turns the errors of velocity that errors of rotation cause, (16) and (17).
+
+    With X = −½ [ΔV×], an error φ of rotation that arises evenly over the turn adds X φ to the velocity `gained` (K, 3),
+    m/s, that gravity gives the turn, in the body at its start."""
+    turns = problem.observations.turns
+    if turns is None or not len(turns) or not problem.instrument.in_velocities:
+        return rows
+    X, Z, sources = skew(-0.5 * gained), rows.directions.copy(), dict(rows.sources)
+    Xt = np.swapaxes(X, 1, 2)
+    for name, share in (("turn.gyro.noise", turns.arising), ("earth", np.ones(len(turns)))):
+        if name in sources:
+            covariance = sources[name] = sources[name].copy()
+            rotation = covariance[:, :3, :3]
+            covariance[:, 3:6, :3], covariance[:, :3, 3:6] = X @ rotation, rotation @ Xt
+            covariance[:, 3:6, 3:6] = share[:, None, None] * (X @ rotation @ Xt)
+    Z[:, 3:6, -3:] = X @ Z[:, :3, -3:]
+    return replace(rows, sources=sources, directions=Z)

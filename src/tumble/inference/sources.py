@@ -21,8 +21,10 @@ if the latitude is; its horizontal part, Ω cos φ, has an unknown heading, over
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -38,47 +40,7 @@ if TYPE_CHECKING:
     from tumble.reduction.observations import Observations
 
 Evaluation = Literal["A", "B"]  # of a standard uncertainty: by statistics of this recording, or otherwise
-# words and evaluation of every source; the prior of a group of parameters is `prior.GROUP`
-WORDS: Mapping[str, tuple[str, Evaluation]] = {
-    "accel.noise": ("noise of the accelerometers within rests", "A"),
-    "gyro.noise": ("noise of the gyros within rests", "A"),
-    "turn.gyro.noise": ("noise of the gyros in turns", "A"),
-    "turn.accel.noise": ("noise of the accelerometers in turns", "A"),
-    "earth": ("rate of the Earth in the axes of the site", "B"),
-    "attitude": ("attitudes of the programme", "B"),
-    "accel.scatter": ("scatter of the accelerometers from rest to rest", "A"),
-    "gyro.scatter": ("scatter of the gyros from rest to rest", "A"),
-    "turn.scatter": ("scatter of the rotations of turns", "A"),
-    "velocity.scatter": ("scatter of the velocities of turns", "A"),
-    "apart.scatter": ("scatter of the redundant gyros in turns", "A"),
-    "jumps.scatter": ("jumps of force between samples", "A"),
-    "aliased.scatter": ("jumps of rate between samples", "A"),
-    "aliased_apart.scatter": ("jumps of rate between samples of redundant gyros", "A"),
-    "accel.in_run": ("in-run bias of the accelerometers", "A"),
-    "gyro.in_run": ("in-run bias of the gyros", "A"),
-    "passes": ("change by further passes of the method", "B"),
-    "fit": ("noise and scatter, by the residuals of the fit", "A"),
-    "mag.noise": ("noise of the magnetometer within rests", "A"),
-    "mag.scatter": ("scatter of the magnetometer from station to station", "A"),
-    "link.noise": ("noise of the sensors in motion", "A"),
-    "link_gyro.scatter": ("noise of the gyros in motion above that of quiet parts", "A"),
-    "link_accel.scatter": ("noise of the accelerometers in motion above that of quiet parts", "A"),
-    "displacement": ("displacement of the device in motion", "A"),
-    "support": ("lever, and the support that gives way", "B"),
-    "mag.fit": ("noise and scatter of the magnetometer, by the residuals of its fit", "A"),
-    "launches": ("changes from launch to launch", "A"),
-    "gravity": ("gravity of the site", "B"),
-    "prior": ("usual sizes and limits of all parameters", "B"),
-    "prior.linear": ("limits of bias, scale factor and axis angles", "B"),
-    "arrays": ("readings of the array in motion", "A"),
-    "hyperparameters": ("scatter, in-run biases and sizes of groups, as far as not known", "A"),
-    "rounding": ("rounding of readings to steps", "B"),
-    "clock": ("time base of the log", "B"),
-    "lag": ("lags behind the thermometer", "A"),
-    "type": ("other units of the type", "B"),
-    "tilt": ("tilt common to level faces, or non-linearity", "B"),
-    "case": ("placements on the faces of the case", "A"),
-}
+_WORDS = tomllib.loads((Path(__file__).parent / "sources.toml").read_text(encoding="utf-8"))  # by evaluation
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -122,9 +84,10 @@ class UncertaintyBudget:
 
 
 def source(name: str, u: float | None = None, unit: str = "", dof: float | None = None) -> Source:
-    """Return the source with a name in `WORDS`, or that of the prior of a group."""
+    """Return the source with a name in `sources.toml`, or that of the prior of a group."""
     group = name.removeprefix("prior.")
-    words, evaluation = WORDS.get(name, (f"usual size of {group}", "B"))
+    evaluation: Evaluation = "A" if name in _WORDS["A"] else "B"
+    words = _WORDS[evaluation].get(name, f"usual size of {group}")
     return Source(name=name, words=words, type=evaluation, u=u, unit=unit, dof=dof)
 
 

@@ -58,7 +58,7 @@ def _initial_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[In
         return None, values[places]
     about = IntegratedTurns.of(observations, instrument, values)
     derivative = np.einsum("ap,pqm->aqm", about.to_rate, block.jacobian(values[places]))
-    by_turn = about.rows(instrument, values, instrument.linearised(values), len(values))[:, :3, places]
+    by_turn = about.rows(instrument, values, instrument.linearised(values))[:, :3, places]
     back = np.einsum("kij,kj->ki", about.C, vertical[turns.last])
     rate = (observations.rests.gyro - median) @ about.to_rate.T
     rough = max(EARTH_RATE, ROUGH_DRIFT * float(np.abs(rate).max()))
@@ -136,7 +136,7 @@ def _initial_motion(problem: Problem, values: Array) -> Linearisation:
     Over WINDOW links on each side of a station the mean acceleration is small, so that the sum of the velocities of the
     links, in the body there, is along the vertical. A gyro bias b rotates a vertical that is carried back by −∫ A b dt;
     b is fitted by least squares to the verticals of stations 2 WINDOW links apart."""
-    observations, instrument, M = problem.observations, problem.instrument, len(problem.link)
+    observations, instrument, M = problem.observations, problem.instrument, len(problem.chain)
     block, chain, station = instrument.gyro, problem.chain, np.arange(M)
     assert block is not None
     places = instrument.own(block)
@@ -195,7 +195,7 @@ def _turned_to_north(problem: Problem, point: Point, about: IntegratedTurns) -> 
 def _transitions(problem: Problem, about: IntegratedTurns) -> tuple[Array, Array, Array]:
     """Return rotations (M, 3, 3), velocities (M, 3) and durations (M,) from each station to the next; 1 and 0 if
     none."""
-    links, turns, M = problem.observations.links, problem.observations.turns, len(problem.link)
+    links, turns, M = problem.observations.links, problem.observations.turns, len(problem.chain)
     assert links is not None
     assert about.links is not None
     C, V, T = np.tile(np.eye(3), (M, 1, 1)), np.zeros((M, 3)), np.zeros(M)

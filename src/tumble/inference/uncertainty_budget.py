@@ -34,55 +34,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from tumble.inference.elimination import recur_backwards
-from tumble.inference.linearisation import Linearisation, root_of_inverse
-from tumble.inference.noise import SCATTER
+from tumble.inference.linearisation import root_of_inverse
+from tumble.inference.noise import SCATTER, STATIONS
 from tumble.inference.normal_equations import Solution, times
-from tumble.inference.problem import unknown_earth_variance
-from tumble.rotation import skew
-from tumble.units import Array, IntArray
-
-Covariances = dict[str, Array]  # covariances S (N, r, r) of rows, by source
-
-
-def noise_covariances(linearisation: Linearisation) -> tuple[Covariances, Covariances, Covariances]:
-    """Return the covariances by source of the noise of rests, of turns and of links."""
-    problem, noise = linearisation.problem, linearisation.noise
-    turns, instrument = problem.observations.turns, problem.instrument
-    n, sensors, earth = instrument.accel.size, problem.sensors, unknown_earth_variance(problem)
-    last = sensors + 3 * (problem.prior.attitude is not None)
-    kinds = {"accel.noise": slice(n), "gyro.noise": slice(n, sensors)}
-    kinds |= {"attitude": slice(sensors, last), "mag.noise": slice(last, None)}
-    rests = {name: np.zeros_like(noise.rest) for name in kinds}
-    for name, rows in kinds.items():
-        rests[name][:, rows, rows] = noise.rest[:, rows, rows]
-    if earth > 0.0 and sensors > n:
-        axes, rows = instrument.blocks[1].axes, kinds["gyro.noise"]
-        rests["earth"] = np.zeros_like(noise.rest)
-        rests["earth"][:, rows, rows] = earth * axes @ axes.T
-        rests["gyro.noise"] = rests["gyro.noise"] - rests["earth"]
-    in_turns = dict[str, Array]()
-    if turns is not None and instrument.in_velocities:
-        in_turns["turn.accel.noise"] = np.zeros_like(noise.turn)
-        in_turns["turn.accel.noise"][:, 3:6, 3:6] = turns.velocity_covariance
-    if turns is not None and earth > 0.0:
-        along = np.zeros((*noise.turn.shape[:2], 3))
-        along[:, :3] = turns.duration[:, None, None] * np.eye(3)
-        if instrument.in_velocities:
-            along[:, 3:6] = skew(-0.5 * linearisation.gained) @ along[:, :3]
-        in_turns["earth"] = earth * along @ np.swapaxes(along, 1, 2)
-    in_turns["turn.gyro.noise"] = noise.turn - sum(in_turns.values())
-
-    def with_components(sources: Covariances, directions: tuple[Array, IntArray]) -> Covariances:
-        out, (Z, place) = {name: S for name, S in sources.items() if S.any()}, directions
-        for number in np.unique(place).tolist():
-            along = float(getattr(noise.components, SCATTER[number])) * Z[:, :, place == number]
-            if along.any():
-                out[f"{SCATTER[number]}.scatter"] = along @ np.swapaxes(along, 1, 2)
-        return out
-
-    links = {"link.noise": noise.link} if linearisation.problem.moves else {}
-    rest, turn, link = map(with_components, (rests, in_turns, links), noise.directions)
-    return rest, turn, link
+from tumble.units import Array
 
 
 def contributions(solution: Solution) -> dict[str, Array]:
@@ -92,14 +47,7 @@ def contributions(solution: Solution) -> dict[str, Array]:
     problem, equations, linearisation = solution.problem, solution.equations, solution.linearisation
     noise, (inverse, by_next), sensitivity = equations.noise, equations.inverses, equations.sensitivity
     d, q, size, biases = equations.unknowns, solution.local.shape[-1], len(solution.parameters), 1 + problem.biases
-    accelerometers, rest_weights, turn_weights = problem.instrument.accel.size, noise.rest_weights, noise.turn_weights
-    whitening = (
-        equations.rest_whitening / rest_weights[:, None],
-        equations.turn_whitening / turn_weights[:, None],
-        equations.link_whitening / noise.link_weights[:, None],
-    )
-    covariances = noise_covariances(linearisation.with_components(noise.components))
-    kinds = equations.rest_rows, equations.turn_rows, equations.link_rows
+    accelerometers = problem.instrument.accel.size
     mean = solution.mean_bias
     out = dict[str, Array]()
 
@@ -121,16 +69,20 @@ def contributions(solution: Solution) -> dict[str, Array]:
             Z[..., biases] += N
 
         # covariances by source (38)
-        links, station, before = slice(None if problem.moves else 0), problem.station[part.rests], problem.before_link
-        ends_of_rests = (station - stations.start,)
-        places = (part.rests, ends_of_rests), (part.turns, (part.first, part.first + 1)), (links, (before, before + 1))
-        for sources, W, rows, (block, ends) in zip(covariances, whitening, kinds, places, strict=True):
-            K = times(rows[block, :, len(ends) * d : -1], Z_x)
-            for e, end in enumerate(ends):
-                K += rows[block, :, e * d : (e + 1) * d] @ Z[end]
-            H = np.swapaxes(W[block], -1, -2) @ K
-            for name, S in sources.items():
+        for kind, rows in equations.rows.items():
+            block, of_kind = part.rows[kind], noise.rows[kind]
+            K, station = (
+                times(rows[block, :, STATIONS[kind] * d : -1], Z_x),
+                problem.first[kind][block] - stations.start,
+            )
+            for e in range(STATIONS[kind]):
+                K += rows[block, :, e * d : (e + 1) * d] @ Z[station + e]
+            H = np.swapaxes(equations.whitening[kind][block] / of_kind.root_weights[block, None], -1, -2) @ K
+            for name, S in of_kind.sources.items():
                 add(name, H, S[block] @ H)
+            for number in np.unique(of_kind.component):
+                along = np.swapaxes(noise.directions[kind][block][:, :, of_kind.component == number], 1, 2) @ H
+                add(f"{SCATTER[number]}.scatter", np.sqrt(noise.variances[number]) * along)
         if noise.states:
             states = Z[:, d - noise.states :]
             rho, step = noise.state_rho[stations][:-1, :, None], noise.state_step[stations][:-1, :, None]

@@ -339,7 +339,7 @@ def session_information(
     session, off = equations.session_factors[0], np.append(point.gravity, point.values) - problem.prior_mean
     angles = int(np.count_nonzero(np.diagonal(equations.rest_factors, axis1=1, axis2=2)[:, :3]))
     R = session[:-1, :-1]
-    degrees = sum(each.shape[0] * each.shape[1] for each in (equations.rest_rows, equations.turn_rows)) - angles
+    degrees = sum(each.shape[0] * each.shape[1] for each in equations.rows.values()) - angles
     return R, session[:-1, -1] + R @ off, session[-1, -1] ** 2, degrees
 
 

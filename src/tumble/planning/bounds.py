@@ -46,9 +46,6 @@ from tumble.errors import InputError
 from tumble.inference.estimate import DETERMINED, UNOBSERVABLE_SHARE
 from tumble.inference.hyperparameters import (
     LEAST_DEGREES,
-    GroupSize,
-    InRunSize,
-    Scatter,
     hyperparameters_of,
     quadratic_forms,
     size_factors,
@@ -341,12 +338,12 @@ def with_expected_sizes(rows: Linearisation) -> Linearisation:
     usual, sizes_of_noise, products = problem.prior_u[1:], dict[str, Any](), _products(solution)
     hyperparameters = hyperparameters_of(problem, rows.noise, products > 0.0)
     for h, learned in zip(hyperparameters, quadratic_forms(hyperparameters, solution)[1].tolist(), strict=True):
-        if isinstance(h, Scatter):
+        if h.kind == "scatter":
             degrees = float(products[SCATTER.index(h.name)]) * h.usual**4
             if degrees > LEAST_DEGREES:
                 sizes_of_noise[h.name] = h.usual * _expected_scatter(degrees, of_turns=h.name in TURN_SCATTER)
-        elif isinstance(h, InRunSize) and solution.equations.wanders:
-            ones = np.ones(len(np.arange(rows.noise.unknowns)[h.members]) * len(problem.link))
+        elif h.kind == "process" and solution.equations.wanders:
+            ones = np.ones(len(np.arange(rows.noise.unknowns)[h.members]) * len(problem.chain))
             share = float(np.clip(learned / len(ones), 1e-6, 1.0 - 1e-6))
             factor = _expected_size(ones, (1.0 - share) * ones, h.within, two_sided=True)[0]
             sizes_of_noise[h.name] = getattr(components, h.name) * float(factor)
@@ -354,7 +351,7 @@ def with_expected_sizes(rows: Linearisation) -> Linearisation:
     for _ in range(ROUNDS):
         sizes, variances = problem.prior_u.copy(), np.diag(solve(rows.with_priors(problem), components).covariance)
         for h in hyperparameters:
-            if not isinstance(h, GroupSize):
+            if h.kind != "group":
                 continue
             s, size, v = usual[h.members], sizes[1:][h.members], variances[1:][h.members]
             v = 1.0 / (1.0 / v - 1.0 / size**2 + 1.0 / s**2)  # with a prior of the usual size
@@ -369,8 +366,7 @@ def with_expected_sizes(rows: Linearisation) -> Linearisation:
 def _products(solution: Solution) -> Array:
     """Return tr (PD)² (c,) of the components of scatter, from the parts within a rest and within a turn."""
     out = np.zeros(len(SCATTER))
-    for W, (_, C), (Z, place) in solution.by_kind:
-        WZ = W @ Z
+    for _, _, C, WZ, place in solution.scatter:
         squares = ((np.swapaxes(WZ, 1, 2) @ C @ WZ) ** 2).sum(axis=0)
         for number in np.unique(place):
             out[number] += squares[np.ix_(place == number, place == number)].sum()

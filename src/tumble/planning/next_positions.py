@@ -18,7 +18,7 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.inference.elimination import fold
-from tumble.inference.normal_equations import eliminate_rests, joint_rows, whiten
+from tumble.inference.normal_equations import eliminate_rests, rows_by_station, whitened_rows
 from tumble.planning.bounds import instrument_of, linearised_course
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import Setup
@@ -159,8 +159,8 @@ def next_positions(
                       np.array([positions[i].matrix for i in places])], axis=1)  # fmt: skip
     apart = np.stack([moves, np.zeros_like(moves)], axis=1).reshape(-1, 3)[:-1]
     rows_of_pairs = linearised_course(Itinerary.through(pairs.reshape(-1, 3, 3), apart, setup), setup, gyros=gyros)
-    rest, turn, link = whiten(rows_of_pairs, *rows_of_pairs.noise.whitening())
-    rest, turn = rest[1::2], joint_rows(rows_of_pairs, turn, link)[::2]
+    whitened = whitened_rows(rows_of_pairs, rows_of_pairs.noise.whitening())
+    rest, turn = (rows[first::2] for rows, first in zip(rows_by_station(rows_of_pairs, whitened), (1, 0), strict=True))
     t = d + turn.shape[1]
     rows = np.zeros((len(places), t + rest.shape[1] + 2 * d, turn.shape[2]))
     rows[:, :d, :d], rows[:, :d, 2 * d :] = last[:, :d], last[:, 2 * d :]

@@ -64,12 +64,12 @@ class _Recoded(io.BufferedIOBase):
         self._text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="\n")  # type: ignore[type-var]  # readable
 
     def read(self, size: int | None = -1, /) -> bytes:
-        return self._encoded(self._text.read, size)
+        return self._encoded(self._text.read, -1 if size is None else size)
 
     def readline(self, size: int | None = -1, /) -> bytes:
         return self._encoded(self._text.readline, -1 if size is None else size)
 
-    def _encoded(self, read: Callable[[int | None], str], size: int | None) -> bytes:
+    def _encoded(self, read: Callable[[int], str], size: int) -> bytes:
         try:
             return read(size).encode("utf-8", errors="replace")
         except UnicodeError as error:
