@@ -43,14 +43,9 @@ def nothing(number: int, item: Any) -> list[Row]:  # noqa: ARG001
     return [{}]
 
 
-def unlabelled(item: Any) -> Row:  # noqa: ARG001
-    """No columns."""
-    return {}
-
-
 def empty(tasks: int) -> Job:
     """A job that does nothing."""
-    return Job(definition={}, items=[None] * tasks, task=nothing, label=unlabelled, schema={"x": pl.Float64})
+    return Job(definition={}, items=[{}] * tasks, task=nothing, schema={"x": pl.Float64})
 
 
 def wall(job: Job, executor: Executor) -> float:

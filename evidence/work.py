@@ -13,6 +13,7 @@ import json
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -67,12 +68,8 @@ def tried(make: Callable[[], Case], tell: Tell, programs: Iterable[str]) -> list
 Item = tuple[Callable[[], Case], Tell, Sequence[str]]
 
 
-def _task(number: int, item: Item) -> list[Mapping[str, Any]]:  # noqa: ARG001
-    return [{"program": each["program"], "text": json.dumps(each)} for each in tried(*item)]
-
-
-def _label(item: Item) -> dict[str, Any]:  # noqa: ARG001
-    return {}
+def _task(items: Sequence[Item], number: int, _: Any) -> list[Mapping[str, Any]]:
+    return [{"program": each["program"], "text": json.dumps(each)} for each in tried(*items[number])]
 
 
 def answers(
@@ -90,9 +87,8 @@ def answers(
     pending = [(entry, names) for entry, names in missing if names]
     job = Job(
         definition={"what": "evidence"},
-        items=[(entry.make, entry.tell, names) for entry, names in pending],
-        task=_task,
-        label=_label,
+        items=[{}] * len(pending),
+        task=partial(_task, [(entry.make, entry.tell, names) for entry, names in pending]),
         schema={"program": pl.String, "text": pl.String},
     )
     serial = workers == 1 or len(pending) < 2

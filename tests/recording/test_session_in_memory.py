@@ -117,7 +117,7 @@ def test_lost_samples_are_bridged_as_in_a_file(on_disk: Session, columns: dict[s
     broken = columns | {"ax": columns["ax"].copy()}
     broken["ax"][100:103] = np.nan
     observed = inspect_session(session_of(described(on_disk), broken))
-    (gap,) = observed.gaps
+    (gap,) = observed.log.gaps
     assert (gap.row, gap.samples) == (101, 3)
 
 

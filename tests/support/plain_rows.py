@@ -10,7 +10,7 @@ import scipy
 
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import STATIONS, NoiseModel
-from tumble.units import Array
+from tumble.units import Array, IntArray
 
 AT_REST = "accel", "gyro", "attitude"
 
@@ -54,7 +54,7 @@ def covariances(noise: NoiseModel) -> tuple[Array, Array]:
     return of_rests({kind: rows.covariance for kind, rows in noise.rows.items()}), noise.rows["turn"].covariance
 
 
-def directions(noise: NoiseModel) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def directions(noise: NoiseModel) -> tuple[tuple[Array, IntArray], tuple[Array, IntArray]]:
     """Directions of the components of variance of rests and of turns, with the indices of these components."""
     at_rest = np.concatenate([rows.component for kind, rows in noise.rows.items() if kind in AT_REST])
     return (of_rests(noise.directions), at_rest), (noise.directions["turn"], noise.rows["turn"].component)
