@@ -25,7 +25,7 @@ import polars as pl
 import psutil
 
 from tumble.campaigns import engine
-from tumble.campaigns.campaign import campaign_of
+from tumble.campaigns.campaign import Campaign
 from tumble.campaigns.cluster import executor_for
 from tumble.campaigns.engine import Executor, Job, Row, run, serially
 
@@ -57,8 +57,8 @@ def wall(job: Job, executor: Executor) -> float:
 def two_against_one() -> tuple[list[float], float, float]:
     """Ratios of the wall times of one process and of two, pair by pair; trials a second with two; and the processor
     time of one process over the longest of two, which other work on the machine does not change."""
-    job = campaign_of({"trials": TRIALS, "grid": {"method": "joint"}}).job()
-    warm = campaign_of({"trials": 4, "grid": {"method": "joint"}}).job()
+    job = Campaign(trials=TRIALS, grid={"method": "joint"}).job()
+    warm = Campaign(trials=4, grid={"method": "joint"}).job()
     with executor_for(workers=1) as one, executor_for(workers=2) as two:
         for executor in (one, two):
             wall(warm, executor)

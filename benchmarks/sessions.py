@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 import tumble
-from tumble.campaigns.campaign import campaign_of
+from tumble.campaigns.campaign import Campaign
 from tumble.campaigns.engine import run, serially
 from tumble.planning.setup import Setup
 from tumble.run.together import calibrate_together
@@ -95,7 +95,7 @@ def together(folder: Path) -> float:
 
 def trial(folder: Path) -> float:
     """One of a campaign of sessions from observations."""
-    job = campaign_of({"trials": TRIALS, "grid": {"method": "joint"}}).job()
+    job = Campaign(trials=TRIALS, grid={"method": "joint"}).job()
     return seconds(lambda: run(job, Path(tempfile.mkdtemp(dir=folder)) / "out", executor=serially), 1) / TRIALS
 
 

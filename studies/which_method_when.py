@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from tumble.campaigns.campaign import SummaryLine, campaign_of, summary
+from tumble.campaigns.campaign import Campaign, SummaryLine, summary
 from tumble.campaigns.engine import run
 from tumble.campaigns.trial import random_numbers
 from tumble.planning.setup import GROUPS, UNITS, Setup
@@ -73,7 +73,7 @@ def lines_on_table(degrees: float, sessions: int) -> Sequence[SummaryLine]:
 def lines_of(grid: Mapping[str, Any], sessions: int) -> Sequence[SummaryLine]:
     """The summary of a campaign of one point."""
     with tempfile.TemporaryDirectory() as folder:
-        return summary(run(campaign_of({"seed": 19, "trials": sessions, "grid": grid}).job(), Path(folder) / "out"))
+        return summary(run(Campaign(seed=19, trials=sessions, grid=grid).job(), Path(folder) / "out"))
 
 
 def _kept(line: SummaryLine) -> Result:

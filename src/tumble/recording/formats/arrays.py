@@ -14,7 +14,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,27 +35,46 @@ from tumble.units import TIME_UNITS, Array
 
 NOTHING = "no arrays named as accelerometers are, such as acc_x or accel (m, 3)"
 
-_SHORTEST, _WIDEST = 10, 32  # rows; columns
+_ROWS = 1 << 15
+_SHORTEST = 10
+_WIDEST = 32
+_WHOLE = slice(0, 1 << 21)
 _MATLAB_HEADER, _MATLAB_PACKED = 128, 15
 _PIECE_BYTES = 1 << 20
 
 
+@dataclass(frozen=True, kw_only=True, slots=True, eq=False)
+class Column:
+    """A column of a table: the name of an array, the array (NumPy or HDF5), and the column or row in it."""
+
+    name: str
+    array: Any
+    axis: int | None
+
+    def part(self, rows: slice) -> Array:
+        """Return a part of the numbers, with NaN for those that are no readings."""
+        shape, across = self.array.shape, 0 if self.axis is None else self.axis
+        where = rows if len(shape) == 1 else (rows, across) if shape[0] >= shape[-1] else (across, rows)
+        with np.errstate(over="ignore"):  # numbers of 80 bits beyond the range of 64
+            numbers = np.asarray(self.array[where], dtype=np.float64)
+        return np.where(is_reading(numbers), numbers, np.nan)
+
+
 def messages(path: Path) -> list[Message]:
     """Return tables with inertial sensors, one for each length of arrays, those identified by name first."""
+    arrays = {name: array for name, array in _arrays(path).items() if len(array.shape) in (1, 2)}
     by_name: list[Message] = []
     by_data: list[Message] = []
-    arrays = {name: array for name, array in _arrays(path).items() if len(array.shape) in (1, 2)}
     for length in sorted({max(array.shape) for array in arrays.values()}, reverse=True):
         columns = dict(_columns({name: array for name, array in arrays.items() if max(array.shape) == length}))
-        widths = Counter(map(_array_of, columns))
-        named = columns_by_name([name for name in columns if widths[_array_of(name)] <= len("xyz")])
+        widths = Counter(column.name for name, column in columns.items() if name != f"{column.name}/t")
+        named = columns_by_name([name for name, column in columns.items() if widths[column.name] <= len("xyz")])
         guessed, remark = ACCEL not in named.triads, ""
         if guessed:
             named, remark = _with_columns_by_data(columns, named)
         if length < _SHORTEST or not named.triads:
             continue
-        if named.time is not None:
-            columns = {TIME: columns.pop(named.time) * TIME_UNITS[named.time_unit or "s"]} | columns
+        factor = TIME_UNITS[named.time_unit or "s"]
         (by_data if guessed else by_name).append(
             Message(
                 name=f"{length} rows",
@@ -64,7 +83,7 @@ def messages(path: Path) -> list[Message]:
                 temperatures=named.temperatures,
                 timed=named.time is not None,
                 remark=remark,
-                rows=partial(iter, [pl.DataFrame(columns)]),
+                rows=partial(_rows, columns, length, named.time, factor),
             )
         )
     if not by_name and not by_data and path.suffix.lower() == ".mat" and not h5py.is_hdf5(path):
@@ -79,43 +98,43 @@ def messages(path: Path) -> list[Message]:
     return by_name + by_data
 
 
-def _array_of(column: str) -> str:
-    """Return the name of the array that has a column, `imu/gyro` of `imu/gyro[0]`."""
-    return column.rpartition("[")[0] or column
-
-
-def _columns(arrays: Mapping[str, Any]) -> Iterator[tuple[str, Array]]:
-    """Yield the columns of arrays with their names, with NaN for numbers that are no readings."""
+def _columns(arrays: Mapping[str, Any]) -> Iterator[tuple[str, Column]]:
+    """Yield the columns of arrays with their names."""
     for name, array in arrays.items():
         shape = array.shape
-        is_column = min((*shape, 1)) == 1 and np.prod(shape) == max(shape)
-        if not is_column and not 3 <= min(shape) <= _WIDEST:
-            continue
-        with np.errstate(over="ignore"):  # numbers of 80 bits beyond the range of 64
-            numbers = np.asarray(array, dtype=np.float64)
-        numbers = np.where(is_reading(numbers), numbers, np.nan)
-        if is_column:
-            yield name, numbers.reshape(-1)
-            continue
-        across = list(numbers.T if shape[0] >= shape[-1] else numbers)
-        if len(across) == 4 and (time := next((at for at in (0, 3) if grows(across[at])), None)) is not None:
-            yield f"{name}/t", across.pop(time)
-        yield from ((f"{name}[{at}]", column) for at, column in enumerate(across))
+        if min((*shape, 1)) == 1 and np.prod(shape) == max(shape):
+            yield name, Column(name=name, array=array, axis=None)
+        elif 3 <= min(shape) <= _WIDEST:
+            across = [Column(name=name, array=array, axis=axis) for axis in range(min(shape))]
+            ends = (across[0], across[-1]) if len(across) == 4 else ()
+            time = next((column for column in ends if grows(column.part(_WHOLE))), None)
+            if time is not None:
+                across.remove(time)
+                yield f"{name}/t", time
+            yield from ((f"{name}[{at}]", column) for at, column in enumerate(across))
 
 
-def _with_columns_by_data(columns: Mapping[str, Array], named: Columns) -> tuple[Columns, str]:
+def _with_columns_by_data(columns: Mapping[str, Column], named: Columns) -> tuple[Columns, str]:
     """Identify columns by their numbers if no name identifies accelerometers, and return a remark.
 
     Triads identified by name are kept."""
-    free = {name: column for name, column in columns.items() if name not in named.sensors}
-    together = {name: column for name, column in free.items() if name.endswith("]")} or free
+    taken = {column for triad in named.triads.values() for column in triad.columns}
+    free = {name: column for name, column in columns.items() if name not in taken}
+    together = {name: column for name, column in free.items() if column.axis is not None} or free
     if not 0 < len(together) <= _WIDEST:
         return named, ""
-    by_data = columns_by_data(list(together), np.column_stack(list(together.values())))
+    by_data = columns_by_data(list(together), np.column_stack([column.part(_WHOLE) for column in together.values()]))
     if ACCEL not in by_data.triads:
         return named, ""
     remark = "; ".join(guess_remarks(by_data, named.triads))
     return replace(named, triads={**by_data.triads, **named.triads}, time=named.time or by_data.time), remark
+
+
+def _rows(columns: Mapping[str, Column], length: int, time: str | None, factor: float) -> Iterator[pl.DataFrame]:
+    for start in range(0, length, _ROWS):
+        part = slice(start, min(start + _ROWS, length))
+        table = {name: column.part(part) for name, column in columns.items()}
+        yield pl.DataFrame(table if time is None else {TIME: table.pop(time) * factor} | table)
 
 
 def _arrays(path: Path) -> dict[str, Any]:
