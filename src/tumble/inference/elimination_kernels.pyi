@@ -36,14 +36,6 @@ def residual_covariances(
     covariance: Array,
     work: Array,
 ) -> None: ...
-def scatter_forms(
-    whitening: Array,
-    directions: Array,
-    residual: Array,
-    covariance: Array,
-    work: Array,
-    forms: Array,
-) -> None: ...
 def state_forms(
     by: Array,
     own: Array,

@@ -282,37 +282,6 @@ cdef for_each_processor _residual_covariances(
                 covariance[k, a, b] = covariance[k, b, a] = (1.0 if a == b else 0.0) - part
 
 
-cpdef void scatter_forms(
-    const double[:, :, :] whitening, const double[:, :, :] directions, const double[:, ::1] residual,
-    const double[:, :, ::1] covariance, double[::1] work, double[:, ::1] forms,
-) noexcept:
-    """Add up what the score of scatter is of: with W z a whitened direction, r the residuals and C their covariance.
-
-    whitening, directions : W (K, t, t), lower triangles, and z, the columns of (K, t, q).
-    residual, covariance : r (K, t) and C (K, t, t).
-    work (t,) : memory.
-    forms (2, q) : sums of (zᵀ Wᵀ r)² and of zᵀ Wᵀ C W z.
-    """
-    cdef double part, along, square
-    cdef Py_ssize_t a, b, c, k
-    K, t, q = directions.shape[0], directions.shape[1], directions.shape[2]
-    for k in range(K):
-        for c in range(q):
-            along, square = 0.0, 0.0
-            for a in range(t):
-                part = 0.0
-                for b in range(a + 1):
-                    part += whitening[k, a, b] * directions[k, b, c]
-                work[a] = part
-                along += residual[k, a] * part
-                part = 0.5 * covariance[k, a, a] * part
-                for b in range(a):
-                    part += covariance[k, a, b] * work[b]
-                square += 2.0 * work[a] * part
-            forms[0, c] += along * along
-            forms[1, c] += square
-
-
 def state_forms(
     const double[:, :, ::1] by, const double[:, :, ::1] own, const double[:, :, ::1] with_next,
     const double[:, :, ::1] along, const double[::1] shared, const double[:, ::1] rho, const double[:, ::1] step,
