@@ -193,7 +193,7 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
         if h.kind != "time":
             typical[i] = 0.5 * np.log(weight @ h.value(phi[:, i]) ** 2)
     solution = solution_at(fitted.linearisation, fitted.hyperparameters, typical)
-    mean, (within, between), p = both.mean, both.moments(), len(solution.parameters)
+    mean, (within, between), p = both.mean, both.moments, len(solution.parameters)
     sources = scaled_to(contributions(solution), within[:p, :p]) | {"hyperparameters": between[:p, :p]}
     covariance = np.sum(list(sources.values()), axis=0)
     factor = both.coverage[0][:p]
@@ -643,8 +643,9 @@ class Draws(Triangles):
         weight = self.smoothed_weights[0]
         return np.asarray(np.sqrt(weight @ self.variance + weight @ (self.step - self.mean) ** 2))
 
+    @cached_property
     def moments(self) -> tuple[Array, Array]:
-        """Return the mean of the covariances (y, y), and the covariance (y, y) of the mean steps."""
+        """The mean of the covariances (y, y), and the covariance (y, y) of the mean steps."""
         weight, gamma, deviation = self.smoothed_weights[0], self.gamma, self.step - self.mean
 
         def propagated(covariances: Array) -> Array:
@@ -661,7 +662,7 @@ class Draws(Triangles):
 
         With P_i the probability of the interval of a parameter at a point, its mean P has the variance Σ w² (P_i − P)²,
         and the half width of the interval that of P over the density at its ends."""
-        within, between = self.moments()
+        within, between = self.moments
         mean, u, (means, deviations, weight, point) = self.mean, np.sqrt(np.diag(within + between)), self.mixture()
         factor = coverage_factors(means - mean, deviations, weight, u)
         probability, density = interval_probability(factor * u, means - mean, deviations)
