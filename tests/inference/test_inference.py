@@ -22,7 +22,7 @@ from tumble.inference import joint as of_joint
 from tumble.inference.fits import sigmas
 from tumble.inference.hyperparameters import (
     Hyperparameter,
-    score,
+    derivatives,
     solution_at,
 )
 from tumble.inference.integral import Folded, members_of, pareto_smoothed, posterior, triangles
@@ -128,7 +128,7 @@ def test_the_score_is_the_derivative_of_the_likelihood(name: str) -> None:
     at = started(SESSIONS[name]())
     entries = maximise(at, iterations=1).hyperparameters
     phi, step = away_from_bounds(entries), 1e-4
-    gradient = score(entries, solution_at(at, entries, phi))
+    gradient, *_ = derivatives(entries, solution_at(at, entries, phi))
     kinds = dict[tuple[object, ...], list[int]]()
     for i, h in enumerate(entries):
         key = (h.kind,) if h.bounded else (h.kind, h.name)
@@ -149,7 +149,7 @@ def test_the_score_is_the_derivative_with_rows_that_count_less_and_rows_left_out
     entries, step = maximise(at, iterations=1).hyperparameters, 1e-4
     at, phi = replace(at, noise=at.noise.weighted(weights)), away_from_bounds(entries)
     here = solution_at(at, entries, phi)
-    gradient = score(entries, here)
+    gradient, *_ = derivatives(entries, here)
     for i, h in enumerate(entries):
         by_one = step * np.eye(len(phi))[i]
         more, less = (solution_at(at, entries, phi + sign * by_one) for sign in (1.0, -1.0))

@@ -21,7 +21,7 @@ from tests.inference.test_inference import (
 )
 from tumble.inference.hyperparameters import (
     average_information,
-    score,
+    derivatives,
     solution_at,
 )
 from tumble.inference.maximum import maximise
@@ -70,7 +70,7 @@ def test_likelihood_score_and_estimate_are_those_of_dense_matrices(name: str, se
 
     # the likelihood and its score
     assert here.deviance == pytest.approx(found.deviance, abs=1e-9)
-    gradient, of_prior = score(hyperparameters, here), hyperparameters.log_prior(phi)[1]
+    (gradient, *_), of_prior = derivatives(hyperparameters, here), hyperparameters.log_prior(phi)[1]
     variates = list[Array]()
     for h, slope in zip(hyperparameters, gradient - of_prior, strict=True):
         if h.kind in {"scatter", "process", "time"}:

@@ -30,7 +30,7 @@ from tumble.earth import EARTH_RATE, earth_rate
 from tumble.inference.integrated_turns import along_paths
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import NO_COMPONENTS
-from tumble.inference.normal_equations import solve
+from tumble.inference.normal_equations import Solution, solve
 from tumble.reduction.observations import Observations, extract_session
 from tumble.rotation import rotation_matrix, rotation_vector, skew
 from tumble.sensors.instrument import functions
@@ -84,25 +84,25 @@ class Cause:
         return Advised(entry["found"].format(**words), entry["remedy"].format(**words))
 
 
-def fit_causes(linearised: Linearisation, causes: Sequence[Cause]) -> list[list[Finding]]:
+def fit_causes(session: LinearisedSession, causes: Sequence[Cause]) -> list[list[Finding]]:
     """Return for each session the causes that it determines, the most likely place of each name and kind of sensor.
 
     The p-value is multiplied by the number of places tried (Bonferroni)."""
     rest, turn = (np.concatenate([cause.columns[rows] for cause in causes], axis=2) for rows in (0, 1))
     ends = np.cumsum([cause.columns[0].shape[2] for cause in causes])
     columns = np.split(np.arange(ends[-1]), ends[:-1])
-    instrument = linearised.problem.instrument
+    linearised, instrument = session.linearised, session.problem.instrument
     groups = positions_by_group(instrument.names[: instrument.linear_count])
 
     # the noise: as estimated or, for a jump, with in-run biases of usual size, which are less likely by `excess`
     components, in_run = linearised.components, linearised.problem.observations.in_run
     as_estimated = list(projections(linearised, components, rest, turn))
     with_usual, excess = as_estimated, 0.0
-    if components.wanders:
+    if components.wanders and any(cause.beside for cause in causes):
         sizes = {f"{kind}_in_run": min(getattr(components, f"{kind}_in_run"), in_run[kind]) for kind in in_run}
         usual = replace(components, **sizes, unlike=np.zeros(0))
         with_usual = list(projections(linearised, usual, rest, turn))
-        excess = float(solve(linearised, usual).deviance - solve(linearised, components).deviance)
+        excess = float(solve(linearised, usual).deviance - session.solution.deviance)
 
     causes_by_session = []
     for s, (estimated, steady) in enumerate(zip(as_estimated, with_usual, strict=True)):
@@ -186,6 +186,11 @@ class LinearisedSession:
             back = rotation_matrix(-(share[None, :, None] * path[:, None]).reshape(-1, 3))
             self.path_rotations = back.reshape(-1, PATH_STEPS, 3, 3)
             self.path_forces = np.einsum("ksab,kb->ksa", self.path_rotations, self.force[turns.first])
+
+    @cached_property
+    def solution(self) -> Solution:
+        """The solution with the variance components of the estimate."""
+        return solve(self.linearised, self.linearised.components)
 
     @cached_property
     def observed(self) -> list[Observations]:

@@ -19,6 +19,7 @@ from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, UNIT_TOLERANCE, Array,
 
 LEAST_REST_SHARE = 0.2  # least part of a recording at rest, where samples of coarse resolution repeat
 LARGEST_READING = 1e10  # SI: no sensor reads more, in whatever unit of its log
+HELD_END = 2.5  # samples between the ends of a run of a channel and of the run of rows that it is part of
 RUN_PROBABILITY = 1e-9  # below it, a run of equal samples is a fault
 LEAST_LENGTH = 1e-9  # m/s² or rad: shorter vectors have no direction
 LEAP = 0.3 * G_STANDARD  # within 0.1 s, at the median: larger than the vibration of a device at rest
@@ -212,7 +213,7 @@ def _faults_of_kind(
         elif clipped := _clipped(state, means[:, i], channels.range):
             sentence = Advised(f"column {column!r} is clipped: {clipped}, up to {state.extreme_stop:.2f} s", advice)
             yield ChannelFault(sensor=i, sentence=sentence, clipped=True)
-        elif any(abs(state.run_stop - stop) < 2.5 / rate for stop in held):
+        elif any(abs(state.run_stop - stop) < HELD_END / rate for stop in held):
             continue
         elif state.run >= rate and _is_fault(state, state.run, state.run):
             stuck = f"{state.run} samples in a row are {logged(state.run_value, i)}, up to {state.run_stop:.2f} s"

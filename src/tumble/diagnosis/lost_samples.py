@@ -21,7 +21,6 @@ from tumble.diagnosis.causes import SHORTEST_TURN, Cause, LinearisedSession
 from tumble.diagnosis.findings import TURN_GROUPS, Finding
 from tumble.diagnosis.projection import SumOfSquares, approximate_drops
 from tumble.inference.integrated_turns import IntegratedTurns
-from tumble.inference.normal_equations import Solution
 from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
@@ -85,10 +84,8 @@ def stamps_remedy(observations: Observations) -> str:
     return jitter_hint(observations).removeprefix("; ") or "record with time stamps"
 
 
-def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list[Cause]:
-    """Return a loss of samples in the turn of each session where it is most likely; none if time stamps would show it.
-
-    `with_scatter` is the solution with the variance components of the estimate."""
+def lost_in_one_turn(session: LinearisedSession) -> list[Cause]:
+    """Return a loss of samples in the likeliest turn of each session; none if time stamps would show it."""
     rows, in_velocities = session.linearised, session.problem.instrument.in_velocities
     if rows.about is None or not (any(session.has_turns) and session.observations.unstamped):
         return []
@@ -97,7 +94,7 @@ def lost_in_one_turn(session: LinearisedSession, with_scatter: Solution) -> list
     turn[:, :3, 0] = axis
     if in_velocities:
         turn[:, 3:6, 1] = np.cross(axis, rows.gained)
-    drops = approximate_drops(with_scatter.equations.whitening["turn"] @ turn, *with_scatter.residuals["turn"])
+    drops = approximate_drops(session.solution.equations.whitening["turn"] @ turn, *session.solution.residuals["turn"])
     chosen, words = np.zeros(len(turn)), list[dict[str, object]]()
     for part, observed in zip(session.problem.parts, session.observed, strict=True):
         words.append({"turn": "", "number": ""})
@@ -138,20 +135,19 @@ def samples_held(observations: Observations) -> Finding | None:
     )
 
 
-def lost_in_all_turns(session: LinearisedSession, s: int, with_scatter: Solution) -> Finding:
+def lost_in_all_turns(session: LinearisedSession, s: int) -> Finding:
     """Return the cause that samples are missing or held in the turns of session s, from the scatter of their rotations
     about their own axes, in proportion to the angle, against that across them.
 
     Lost samples also reduce the scale factors of the gyros by the share that is lost, and change their axes. This is
     not scatter, and its size is not known from scatter. Jitter of time stamps has either sign, and no such effect.
-    `with_scatter` is the solution with the variance components of the estimate, which scatter alike in all directions.
-    """
+    The variance components of the estimate scatter alike in all directions."""
     about, observed, part = session.linearised.about, session.observed[s], session.problem.parts[s].turns
     assert about is not None
     axis = _turn_axes(about)[part]
     angle = np.sqrt(about.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
-    W = with_scatter.equations.whitening["turn"][part, :, :3]
-    residual, covariance = (each[part] for each in with_scatter.residuals["turn"])
+    W = session.solution.equations.whitening["turn"][part, :, :3]
+    residual, covariance = (each[part] for each in session.solution.residuals["turn"])
     along, across = (
         SumOfSquares.along(W @ (angle * directions), residual, covariance)
         for directions in (axis[..., None], np.swapaxes(tangent_basis(axis), 1, 2))

@@ -213,7 +213,7 @@ def clock_by_earth(estimate: Estimate) -> ClockByEarth | None:
     linearised = _rows_to_judge(estimate.linearised, estimate)
     session = LinearisedSession(linearised)
     errors = list(earth_rate_errors(session))
-    likely = fit_causes(linearised, errors)[0] if errors else []
+    likely = fit_causes(session, errors)[0] if errors else []
     if not likely or likely[0].cause != "clock" or likely[0].p_value > FALSE_ALARMS:
         return None
     first = _causes(session)[0][0]
@@ -237,15 +237,14 @@ def _causes(session: LinearisedSession) -> list[list[Finding]]:
     """Return for each session its causes, one of each name and kind of sensor, the most significant first."""
     by_p_value, linearised, turns = attrgetter("p_value"), session.linearised, session.observations.turns
     noise = 0.0 if turns is None else typical_noise(turns.covariance)
-    with_scatter = solve(linearised, linearised.components)
-    by_session = fit_causes(linearised, [*causes_of_session(session), *lost_in_one_turn(session, with_scatter)])
+    by_session = fit_causes(session, [*causes_of_session(session), *lost_in_one_turn(session)])
     for s, causes in enumerate(by_session):
         causes += quantisation(session, s)
         lost = [cause for cause in causes if cause.cause == "lost samples"]
         held = samples_held(session.observed[s])
         scatters = linearised.components.turn > max(noise, NEGLIGIBLE_SCATTER["turn"])
         if held is None and session.has_turns[s] and scatters and not are_measured_intervals(session.observed[s]):
-            lost.append(lost_in_all_turns(session, s, with_scatter))
+            lost.append(lost_in_all_turns(session, s))
         likely = held or min(lost, key=by_p_value, default=None)
         causes[:] = [cause for cause in causes if cause not in lost] + ([likely] if likely is not None else [])
         causes.sort(key=by_p_value)

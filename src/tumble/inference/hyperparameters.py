@@ -237,12 +237,6 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     return np.asarray(np.concatenate([form for _, form in of_kinds], axis=1) @ members.T)
 
 
-def score(hyperparameters: Hyperparameters, solution: Solution) -> Array:
-    """Return the gradient (D,) of ℓ."""
-    square, trace = quadratic_forms(hyperparameters, solution)
-    return np.asarray(square - trace + solution.prior_terms[1])
-
-
 def derivatives(hyperparameters: Hyperparameters, solution: Solution) -> tuple[Array, Array, Array]:
     """Return the gradient (D,) of ℓ, its average information (D, D), and B (D, D), minus its second derivative.
 

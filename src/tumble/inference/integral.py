@@ -64,7 +64,6 @@ from tumble.inference.estimate import Integral
 from tumble.inference.hyperparameters import (
     Hyperparameter,
     Hyperparameters,
-    derivatives,
     quadratic_forms,
     scaled,
     solution_at,
@@ -281,12 +280,11 @@ class Proposal:
     @staticmethod
     def about(fitted: Maximum) -> Proposal:
         """Return the proposal from the derivatives of ℓ at a maximum."""
-        hyperparameters, solution, phi = fitted.hyperparameters, fitted.solution, fitted.phi
-        _, _, B = derivatives(hyperparameters, solution)
+        hyperparameters, solution, phi, B = fitted.hyperparameters, fitted.solution, fitted.phi, fitted.curvature
         forms, densities = quadratic_forms(hyperparameters, solution), dict[int, Density]()
         sizes = [i for i, h in enumerate(hyperparameters) if h.kind == "group"]
         if sizes:
-            densities |= _size_densities(fitted, sizes)
+            densities |= _size_densities(fitted, sizes, forms[1])
         inner, outer = list(densities), [i for i in range(len(hyperparameters)) if i not in sizes]
         spread = partial(_spread_in_session, fitted.linearisation.noise)
         in_run = dict[int, tuple[int, Callable[[Array], Density]]]()
@@ -561,8 +559,10 @@ def members_of(fitted: Maximum, elements: IntArray) -> tuple[IntArray, IntArray]
     return np.concatenate([empty, *groups]), np.repeat(elements.astype(int), [len(group) for group in groups])
 
 
-def _size_densities(fitted: Maximum, sizes: list[int]) -> dict[int, Density]:
-    """Return densities, through the maximum, along the sizes of groups on which the session has information."""
+def _size_densities(fitted: Maximum, sizes: list[int], learned: Array) -> dict[int, Density]:
+    """Return densities, through the maximum, along the sizes of groups on which the session has information.
+
+    `learned` (D,) are v tr PD of `hyperparameters.quadratic_forms`."""
     hyperparameters, phi = fitted.hyperparameters, fitted.phi
     members, element = members_of(fitted, np.array(sizes))
     triangle, out = triangles(fitted.linearisation, hyperparameters, phi[None], members), dict[int, Density]()
@@ -570,7 +570,6 @@ def _size_densities(fitted: Maximum, sizes: list[int]) -> dict[int, Density]:
     S = usual * np.exp(np.maximum(phi[element], 0.0))
     at_maximum = Folded.of(triangle.information[0], triangle.right[0], S[None])
     covariance, value = at_maximum.covariance(np.ones(1)), at_maximum.values[0]
-    learned = quadratic_forms(hyperparameters, fitted.solution)[1]
     for i in sizes:
         h, at_bound, group = hyperparameters[i], phi[i] <= 0.0, np.flatnonzero(element == i)
         curvature = 2.0 * float(learned[i]) + h.within**-2 if at_bound else fitted.information[i, i]

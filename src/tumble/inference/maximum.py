@@ -42,7 +42,6 @@ from tumble.inference.fits import (
 from tumble.inference.hyperparameters import (
     LEAST_DEGREES,
     Hyperparameters,
-    average_information,
     derivatives,
     hyperparameters_of,
     solution_at,
@@ -92,8 +91,8 @@ class Maximum:
         Solution and ℓ at the maximum, with priors of the sizes there.
     point
         Point after the last step.
-    information : (D, D)
-        Average information of ℓ.
+    information, curvature : (D, D)
+        Average information of ℓ, and B, minus its second derivative.
     increments
         Step of the parameters (m,) in each iteration.
     converged
@@ -105,6 +104,7 @@ class Maximum:
     solution: Solution
     point: Point
     information: Array
+    curvature: Array
     increments: tuple[Array, ...]
     converged: bool
 
@@ -160,7 +160,7 @@ def maximise(
         solution = solution_at(linearisation, hyperparameters, phi)
         near = near or len(increments) >= FAR_STEPS or negligible(solution, NEAR)
         if near:
-            solution, information, radius, phi_settled = maximise_phi(hyperparameters, solution, radius)
+            solution, curvatures, radius, phi_settled = maximise_phi(hyperparameters, solution, radius)
         phi = solution.phi
         if known is not None and near and len(phi) == len(known.phi):
             offset, below = phi - known.phi, float(known.solution.log_posterior - solution.log_posterior)
@@ -183,12 +183,14 @@ def maximise(
             weights = {kind: 0.5 * (weights[kind] + w) for kind, w in before.items()}
         settled = negligible(solution) and about is linearisation.about and phi_settled and weights_settled
         if settled or len(increments) >= iterations:
+            information, B = curvatures if near else derivatives(hyperparameters, solution)[1:]
             return Maximum(
                 linearisation=linearisation,
                 hyperparameters=hyperparameters,
                 solution=solution,
                 point=point,
-                information=information if near else average_information(hyperparameters, solution),
+                information=information,
+                curvature=B,
                 increments=tuple(increments),
                 converged=settled,
             )
@@ -198,7 +200,7 @@ def maximise(
 
 def maximise_phi(
     hyperparameters: Hyperparameters, solution: Solution, radius: float = FURTHEST
-) -> tuple[Solution, Array, float, bool]:
+) -> tuple[Solution, tuple[Array, Array], float, bool]:
     """Maximise ℓ over φ at fixed residuals, by at most STEPS steps of a trust region.
 
     Parameters
@@ -210,8 +212,8 @@ def maximise_phi(
 
     Returns
     -------
-    solution, information, radius
-        Last solution, the average information there, and Δ.
+    solution, (information, B), radius
+        Last solution, average information and minus the second derivative of ℓ there, and Δ.
     settled
         True if the expected gain of ℓ is below GAIN per element.
     """
@@ -236,7 +238,7 @@ def maximise_phi(
         if gained > 0.0:
             solution = tried
             gradient, information, B = derivatives(hyperparameters, solution)
-    return solution, information, radius, gain < enough
+    return solution, (information, B), radius, gain < enough
 
 
 def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS) -> Maximum:

@@ -169,9 +169,9 @@ def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
                     "why cannot be told: look at the rests with `tumble inspect`"
                 )
         faults = faults or [*normalised(reduction, segmentation.rests, onto_body(accel_block.axes))]
-        files = len(reduction.files)
-        for number in (each.file for each in session.excluded if (each.file or 1) > files):
-            raise SessionError(f"session.toml: exclude.file: expected a file from 1 to {files}, found {number}")
+        files, last = len(reduction.files), max((each.file or 1 for each in session.excluded), default=1)
+        if last > files:
+            raise SessionError(f"session.toml: exclude.file: expected a file from 1 to {files}, found {last}")
         segmentation = without_times(reduction, segmentation, session.excluded)
         segmentation = replace(segmentation, stated_rate=session.log.rate)
         if session.gyro_block is not None and session.log.gyro is not None:
