@@ -124,7 +124,7 @@ def projections(
                 prior[:, common] = other[:p, common]
                 others += int(np.count_nonzero(prior.diagonal()))
                 fold(prior, triangle)
-        fold(rows.prior, triangle)
+        fold(rows.prior[rows.prior.any(axis=1)], triangle, triangular=True)  # without the zero rows of the columns
         triangle[:, p : p + c] /= np.where(length > 0.0, length, 1.0)
         first = int(triangle[0, 0] == 0.0)  # 1 if gravity is taken as exact
         inverse = inverse_of(triangle[first:p, first:p])

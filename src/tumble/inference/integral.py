@@ -448,6 +448,8 @@ class Triangles:
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
         """Return several sets of points as one."""
+        if len(parts) == 1:
+            return parts[0]
         return cls(**{f.name: np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)})
 
 
@@ -619,7 +621,7 @@ class Draws(Triangles):
     @cached_property
     def smoothed_weights(self) -> tuple[Array, float]:
         """Pareto-smoothed weights (K,) of the points, and the shape of the Pareto distribution."""
-        return pareto_smoothed(scipy.special.logsumexp(self.log_weight, axis=1))
+        return pareto_smoothed(np.logaddexp.reduce(self.log_weight, axis=1))
 
     @property
     def effective(self) -> float:
@@ -685,9 +687,10 @@ class Draws(Triangles):
             here, gamma = np.flatnonzero(point == k), self.gamma[k]
             sizes = self.sizes[k, size[here]]
             folded = Folded.of(self.information[k], self.right[k], sizes)
-            along = np.linalg.solve(np.swapaxes(folded.factors, 1, 2), sizes[:, :, None] * gamma.T)
             means[here] += folded.values @ gamma.T
-            variance[here] += (along**2).sum(axis=1)
+            for i, factor, sigma in zip(here, folded.factors, sizes, strict=True):
+                along = scipy.linalg.blas.dtrsm(1.0, factor.T, (gamma * sigma).T, lower=1, overwrite_b=1)
+                variance[i] += (along**2).sum(axis=0)
         return means, np.sqrt(variance), count / MIXED, point
 
 
@@ -736,11 +739,11 @@ def _rounds(fitted: Maximum, proposal: Proposal, count: int, sequence: int) -> I
         joined = Draws.joined(draws)
         log_share = np.log(counts) - np.log(len(normal))
         mixture = np.array([_log_normal(normal, *component) for component in components]) + log_share[:, None]
-        from_copula = -0.5 * (normal**2).sum(axis=1) - scipy.special.logsumexp(mixture, axis=0)
+        from_copula = -0.5 * (normal**2).sum(axis=1) - np.logaddexp.reduce(mixture, axis=0)
         joined = replace(joined, log_weight=joined.log_weight + from_copula[:, None])
         yield joined
         # w^β with the largest β ≤ 1 of a geometric sequence at which enough points are effective
-        tempered, least = scipy.special.logsumexp(joined.log_weight, axis=1), min(2.0 * D, TEMPERED * len(normal))
+        tempered, least = np.logaddexp.reduce(joined.log_weight, axis=1), min(2.0 * D, TEMPERED * len(normal))
         tempered -= tempered.max()
         while np.exp(tempered).sum() ** 2 < least * np.exp(2.0 * tempered).sum():
             tempered *= 0.85
