@@ -228,7 +228,7 @@ def without_rests(links: Links, accel: Block, gyro: Block | None, site: Site) ->
     none, square, places = np.zeros(0), np.zeros((0, 3, 3)), np.zeros(0, dtype=np.int64)
     turns = Turns(
         first=places, last=places, duration=none, C=square, M=np.zeros((0, 3, 3, 3)), B=square, covariance=square,
-        arising=none, velocity_covariance=square, jumps=none, aliased=none,
+        moment_ratio=none, velocity_covariance=square, jumps=none, aliased=none,
     )  # fmt: skip
     samples = TurnSamples(samples=links.samples.samples, start=places, stop=places)
     return Observations(

@@ -38,7 +38,7 @@ MAX_ORDER = 32  # of the autoregressive process: a memory of a quarter of the ba
 LEVEL_SIGMAS = 5.0  # standard deviations of the variance of a rest beyond which it has its own level: 6e-7 by chance
 LONG_RATIO = 2.0
 STRAIGHT_SIGMAS = 2.3  # standard deviations by which rests have to be straighter than their noise: 1 % by chance
-WHITE = 4.0 / 3.0  # `ColouredNoise.arising` of white noise
+WHITE = 4.0 / 3.0  # `ColouredNoise.moment_ratio` of white noise
 MIN_VARIANCE_RATIO = 1e-3  # to that of white noise: quantisation gives more, rounding errors may give less
 NEGLIGIBLE = 1e-9  # relative autocovariance below which it counts as zero
 
@@ -61,9 +61,11 @@ class ColouredNoise:
         """Return the variance (c,) of a mean over blocks, at level 1."""
         return _variance_of_mean(self.autocovariance, np.array([blocks / self.batch]))[:, 0]
 
-    def arising(self, blocks: float) -> float:
-        """Return the time at which the noise of an integral over T = `blocks` arises: the variance of ∫ (T − t) n dt
-        over T²/4 times that of ∫ n dt, over all channels. It is 4/3 for white noise and 1 for constant noise."""
+    def moment_ratio(self, blocks: float) -> float:
+        """Return the variance of ∫ (T − t) n dt over T²/4 times that of ∫ n dt, T = `blocks`, over all channels.
+
+        By this factor errors of rate n add more to the velocity of a turn than a constant one with the same rotation:
+        4/3 for white noise, 1 for constant noise."""
         r, K = self.autocovariance.sum(axis=0), blocks / self.batch  # noise is white within batches
         lags = np.arange(1, min(len(r), int(K)))
         k, later = K - lags, r[lags]

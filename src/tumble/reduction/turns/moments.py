@@ -12,8 +12,8 @@ readings were compensated. A group of parameters then enters only through the co
     gyros           ∂φ = −Φ_ijb s_jp w_pbm,   ∂V = −Ψ_ijb s_jp w_pbm                                    (9)
     accelerometers  ∂V = −Φ_ijb s_jp w_pbm
 
-with C(θ) = exp([∂φ δθ ×]) C. Terms in |a_p·x| and (a_p·x)³, x = ω or f, have own-axis sums, which are computed for the
-axes asked for.
+with C(θ) = exp([∂φ δθ ×]) C. Terms in |a_p·x| and (a_p·x)³, x = ω or f, of the component along the axis of the sensor
+itself need sums for every axis a_p. They are computed for the sensors that have such terms (`OwnAxes`).
 
 The columns neglect the effect of accelerometer parameters on the rate through g-sensitivity, and of gyro parameters on
 the force through the delay. It is of second order, and vanishes when the turn is integrated about the new values.
@@ -95,7 +95,7 @@ class Compensation:
 class Moments:
     """Moments of K turns or pieces of turns, resolved in the body frame at the start of the turn.
 
-    n and m are the numbers of gyros and accelerometers whose own-axis sums were asked for."""
+    n and m are the numbers of gyros and accelerometers in `OwnAxes`."""
 
     C: Array  # rotation (K, 3, 3) from the body at the end to the body at the start
     V: Array  # velocity increment ∫ C f dt (K, 3), m/s
@@ -123,7 +123,7 @@ class Moments:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class OwnAxes:
-    """Axes of the gyros (n, 3) and accelerometers (m, 3) with asymmetry or a cubic term, which need own-axis sums."""
+    """Axes a_p of the gyros (n, 3) and accelerometers (m, 3) with asymmetry κ |a_p·x| or a cubic term K₃ (a_p·x)³."""
 
     gyro: Array
     accel: Array
@@ -146,12 +146,6 @@ class Pieces:
     turn: IntArray
     start: IntArray
     stop: IntArray
-
-
-def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
-    """Return the moments of every single piece."""
-    count = len(pieces.start)
-    return integrate([replace(pieces, turn=np.arange(count))], count, compensation, own)
 
 
 def integrate(
@@ -281,6 +275,7 @@ def lever_columns(moments: Moments, left_inverse: Array, sensitivities: Array, r
     with the rows (1 + k) a_p of `sensitivities` (n, 3) and the columns s_p of their `left_inverse` (3, n). `rates` are
     those of the body at the start and at the end (K, 3), the Earth's rate at rest. Turns of duration 0 have zeros."""
     along = np.einsum("jp,pa->pja", left_inverse, sensitivities)
+    # W has every product ω_k ω_l with k ≤ l once: for k < l the coefficients of kl and of lk are added
     first, second = (skew(np.eye(3)[list(axes)]) for axes in zip(*PAIRS, strict=True))
     weights = np.zeros((3, len(PAIRS), len(sensitivities), 3))
     for G, H, which in ((first, second, slice(None)), (second, first, [1, 2, 4])):

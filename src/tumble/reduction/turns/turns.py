@@ -61,7 +61,7 @@ class Turns:
 
     `first`, `last`: rests (K,) before and after. `duration` (K,), s. `C`, `M`, `B`: rotations (K, 3, 3) and their
     sensitivities to the gyro matrix (K, 3, 3, 3), rad, and bias (K, 3, 3), s. `covariance`: of the rotations (K, 3, 3)
-    from gyro noise, rad². `arising`: time in the turn at which this noise arose (K,), `ColouredNoise.arising`.
+    from gyro noise, rad². `moment_ratio`: that of this noise (K,), see `ColouredNoise.moment_ratio`.
     `velocity_covariance`: of the velocity increments (K, 3, 3) from accelerometer noise, m²/s². `jumps`: sums (K,) of
     the squared changes of force from sample to sample times interval, m²/s², docs/explanation/mathematics.md (18).
     `aliased`: variances of the rotations (K,), rad², if changes of the rate from sample to sample were independent, as
@@ -76,7 +76,7 @@ class Turns:
     M: Array
     B: Array
     covariance: Array
-    arising: Array
+    moment_ratio: Array
     velocity_covariance: Array
     jumps: Array
     aliased: Array
@@ -243,7 +243,7 @@ def reduced_turns(
         M=Phi[..., 1:],
         B=Phi[..., 0],
         covariance=covariance,
-        arising=np.array([noise["gyro"].arising(T / block_seconds) for T in noise_time]),
+        moment_ratio=np.array([noise["gyro"].moment_ratio(T / block_seconds) for T in noise_time]),
         velocity_covariance=(velocity + floor**2)[:, None, None] * np.eye(3),
         jumps=moments.jumps.reshape(-1, PATH_STEPS).sum(axis=1),
         aliased=aliased_rotations(samples, covariance),
