@@ -29,7 +29,7 @@ from tumble.sensors.model import Block, left_null_space
 from tumble.sensors.parameters import PAIRS
 from tumble.units import Array, BoolArray
 
-FEWEST = 7  # accelerometers that determine more than the force and the angular acceleration
+FEWEST_OF_ARRAY = 7  # accelerometers that determine more than the force and the angular acceleration
 SLOWEST = 4.0  # (rad/s)²: slower motion does not determine lever arms
 SAMPLES_PER_COLUMN = 10  # fewest samples in motion per component of x
 CLASSES, QUIETEST = 64, 1e-6  # classes of residual mean square, (m/s²)², each √2 times the one before, from QUIETEST
@@ -69,7 +69,7 @@ def array_moments(
 
     `parts`: stored samples start … stop − 1 that are used. `blocks`: accelerometers and gyros. `extremes`: smallest and
     largest readings (2, n) of each in the log, SI. `at_rest`: rate (3,) that the gyros read at rest, rad/s."""
-    if blocks[0].size < FEWEST:
+    if blocks[0].size < FEWEST_OF_ARRAY:
         return None
     columns = columns_of(blocks[0].size)
     width = columns["jerk"].stop

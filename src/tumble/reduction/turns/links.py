@@ -168,8 +168,10 @@ def _cut_at_nodes(
                 if any(gap.time < f.edges[last] and gap.stop > f.edges[first] for gap in gaps):
                     continue
                 from_node, to_node = before is None or j > 0, after is None or j < count - 1
-                ends = {"before": station + j, "from_node": from_node, "to_node": to_node}
-                intervals.append(_Interval(file=f, first=first, last=last, **ends))
+                interval = _Interval(
+                    file=f, first=first, last=last, before=station + j, from_node=from_node, to_node=to_node
+                )
+                intervals.append(interval)
     return stations, at_rest, intervals
 
 
