@@ -100,7 +100,7 @@ class Moments:
     C: Array  # rotation (K, 3, 3) from the body at the end to the body at the start
     V: Array  # velocity increment ∫ C f dt (K, 3), m/s
     P: Array  # position increment ∫ V dt (K, 3), m
-    Phi: Array  # ∫ C_ij β_b dt (K, 3, 3, 13)
+    Phi: Array  # ∫ C_ij β_b dt (K, 3, 3, 13), of 1, ω, f, f f
     Psi: Array  # (∫ Φ_jb × dV)_i (K, 3, 3, 7), of 1, ω, f
     W: Array  # ∫ C_ij ω_k ω_l dt (K, 3, 3, 6), kl = 11, 12, 13, 22, 23, 33
     sweep: Array  # ∫ (C [ω×])_im f_l dt (K, 3, 3, 3)
@@ -162,6 +162,7 @@ def integrate(
     # regressors: 1, ω, f; own axes of the gyros; f f; ω ω; own axes of the accelerometers
     firsts = np.cumsum([0, linear, 2 * n, 6, 6, 2 * m])
     linears, own_gyro, forces_2, rates_2, own_accel = (slice(a, b) for a, b in pairwise(firsts.tolist()))
+    # numbers of all regressors, and of those before f f, rounded up to whole BLOCKs
     rows, moved_rows = (-(-width // _kernels.BLOCK) * _kernels.BLOCK for width in firsts[[-1, 2]].tolist())
     attitude, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros(count)
     V, P = np.zeros((count, 3)), np.zeros((count, 3))
