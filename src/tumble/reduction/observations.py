@@ -54,7 +54,7 @@ BLOW = 2.0 * G_STANDARD  # m/s²: the smallest full scale of accelerometers, bey
 COSINE_ALIKE = np.cos(10.0 * DEGREE)  # verticals, or attitudes by a turn, within 10° are one
 WARMED = 1.0  # K: temperature change from which a rest is divided
 SHORTEST_PART = 20.0  # s: a shorter part has too few blocks for the noise of its mean
-MAX_PARTS = 60  # of a rest: the time of the estimate grows with their number
+MAX_PARTS = 60  # of a rest: the duration of the estimate grows with their number
 PART_ROTATION = 1e-6  # rad per axis: motion of a support from one part of a rest to the next
 _Arrays = TypeVar("_Arrays", Rests, Turns, TurnReadings)
 

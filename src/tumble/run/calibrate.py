@@ -235,22 +235,35 @@ def _calibrated(session: Session, options: Options, progress: Progress) -> Calib
     else:
         estimate, used, observations = result
         calibration = build_calibration(session, estimate, used, options.frame, origin)
-        faults, outcome = (*observed.gyro_faults, *observed.gyro_bias_faults), calibration.outcome
-        concerned = [outcome.concerns.get(reason, ("",))[0] for reason in outcome.accel.reasons]
-        if is_joint and concerned and all(part.startswith("gyro") for part in concerned):
-            accel_result = estimate_observations(session, observations.of_accelerometers(), options)
-            if not isinstance(accel_result, Outcome):
-                accel_only = build_calibration(session, *accel_result, options.frame, origin)
-                if accel_only.outcome.accel.accepted and accel_only.accel is not None:
-                    alone = "the accelerometers are estimated alone"
-                    because = (advised(f"{found_in(each)}; {alone}", remedy_of(each)) for each in outcome.gyro.reasons)
-                    (estimate, used), calibration, faults = accel_result, accel_only, (*because, *faults)
+        faults = (*observed.gyro_faults, *observed.gyro_bias_faults)
+        accel_result = _accelerometers_alone(session, calibration, observations, options, origin) if is_joint else None
+        if accel_result is not None:
+            alone, reasons = "the accelerometers are estimated alone", calibration.outcome.gyro.reasons
+            faults = (*(advised(f"{found_in(each)}; {alone}", remedy_of(each)) for each in reasons), *faults)
+            calibration, estimate, used = accel_result
         calibration = _with_remarks(calibration, estimate, used, session, observed.segmentation, faults)
         if options.prior is not None and estimate.of_type:
             calibration = extended(calibration, prior=options.prior.words)
     for sentence in (*calibration.provenance.notes, *calibration.outcome.remarks, *calibration.outcome.reasons):
         _LOG.info("%s: %s", session.name, sentence)
     return calibration
+
+
+def _accelerometers_alone(
+    session: Session, calibration: Calibration, observations: Observations, options: Options, origin: Mapping[str, Any]
+) -> tuple[Calibration, Estimate, Observations] | None:
+    """Return the calibration of the accelerometers alone, its estimate and its observations.
+
+    None unless the `calibration` refuses the accelerometers because of the gyros, and alone they are accepted."""
+    outcome = calibration.outcome
+    concerned = [outcome.concerns.get(reason, ("",))[0] for reason in outcome.accel.reasons]
+    if not concerned or not all(part.startswith("gyro") for part in concerned):
+        return None
+    result = estimate_observations(session, observations.of_accelerometers(), options)
+    if isinstance(result, Outcome):
+        return None
+    alone = build_calibration(session, *result, options.frame, origin)
+    return (alone, *result) if alone.outcome.accel.accepted and alone.accel is not None else None
 
 
 def _estimated(observed: Observed, options: Options) -> tuple[Estimate, Observations, Observations] | Outcome:

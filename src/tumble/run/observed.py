@@ -148,7 +148,7 @@ def inspect_session(
 
 def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
     """Find rests, turns and faults in a reduced log, once more without its gyros if they are faulty."""
-    whole, accel_block = reduction, session.accel_block
+    as_read, accel_block = reduction, session.accel_block
     of_accel, of_gyros = channel_faults(reduction, session.log)
     faults = (
         [fault.sentence for fault in of_accel]
@@ -157,17 +157,7 @@ def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
     )
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         reduction = without_blemishes(reduction)
-        segmentation, rejected = find_rests(reduction, accel_block, session.gyro_block), ""
-        found, few = len(segmentation.rests), reduction.tuning.level_attitudes
-        if session.log.gyro is not None and 0 < found < few:
-            by_accel = find_rests(reduction, accel_block, None)
-            more = len(by_accel.rests) - found
-            if more > max(REJECTED_RESTS_RATIO * found, few):
-                segmentation = by_accel
-                rejected = (
-                    f"the gyros read another rate in {more} of {len(by_accel.rests)} rests of the accelerometers, and "
-                    "why cannot be told: look at the rests with `tumble inspect`"
-                )
+        segmentation, rejected = _rests_of_sensors(reduction, session)
         faults = faults or [*normalised(reduction, segmentation.rests, onto_body(accel_block.axes))]
         files, last = len(reduction.files), max((each.file or 1 for each in session.excluded), default=1)
         if last > files:
@@ -181,7 +171,7 @@ def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
             )
             enough = len(clipped) == len(of_gyros) and _suffices(reduction, segmentation, clipped)
             if of_gyros and not (faults or enough):
-                alone = _inspected(log, session.without_gyros(), _of_accelerometers(whole))
+                alone = _inspected(log, session.without_gyros(), _of_accelerometers(as_read))
                 sentences = tuple(fault.sentence for fault in of_gyros)
                 if alone.observations is not None and not alone.faults:
                     return replace(alone, gyro_faults=sentences)
@@ -202,8 +192,8 @@ def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
             observations = _observed(session, reduction, segmentation.rests)
         if faults or rejected:
             gyro_faults = [*high_passed(reduction, segmentation.rests)]
-            if rejected and not faults:
-                gyro_faults = gyro_faults or [rejected]
+            if rejected and not (faults or gyro_faults):
+                gyro_faults = [rejected]
         if gyro_faults:
             faults, _ = vertical_faults(trial.of_accelerometers(), session, reduction.rate, 0.0)
     if session.log.gyro is not None and not faults and not gyro_faults:
@@ -218,6 +208,23 @@ def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
         gyro_faults=tuple(gyro_faults),
         gyro_bias_faults=() if faults else segmentation.jumped(),
         notes=(*log.notes, *(fault.sentence for fault in of_gyros if not faults)),
+    )
+
+
+def _rests_of_sensors(reduction: Reduction, session: Session) -> tuple[Segmentation, str]:
+    """Return the rests of a log, and a fault of the gyros if these read another rate in most of the rests of the
+    accelerometers, which are then returned; else an empty sentence."""
+    segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+    found, few = len(segmentation.rests), reduction.tuning.level_attitudes
+    if session.log.gyro is None or not 0 < found < few:
+        return segmentation, ""
+    by_accel = find_rests(reduction, session.accel_block, None)
+    more = len(by_accel.rests) - found
+    if more <= max(REJECTED_RESTS_RATIO * found, few):
+        return segmentation, ""
+    return by_accel, (
+        f"the gyros read another rate in {more} of {len(by_accel.rests)} rests of the accelerometers, and why cannot "
+        "be told: look at the rests with `tumble inspect`"
     )
 
 

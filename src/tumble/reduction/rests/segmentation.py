@@ -131,8 +131,8 @@ class Segmentation:
     and for the scatter of the specific force, m/s². `jump`: jump of the gyro level at rest (3,), rad/s, if there is
     one, and `jump_at`: file and start, s, of the rest after it. `stated_rate`: sample rate, Hz, of a log without time
     stamps, on which durations depend. `tuning`: thresholds of the search. `still_at_end`: whether the device is
-    motionless at the end of the log, also if the session excludes that time. `programme`, `position`: the programme to which the rests were matched, and the
-    position index (N,) of each rest in it."""
+    motionless at the end of the log, also if the session excludes that time. `programme`, `position`: the programme to
+    which the rests were matched, and the position index (N,) of each rest in it."""
 
     json_fields: ClassVar = ("scatter_limit", "rate_limit", "rejected")
 
