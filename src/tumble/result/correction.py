@@ -51,7 +51,8 @@ from tumble.units import DEGREE, G_STANDARD, Array
 
 
 USUAL_RATE = 100.0 * DEGREE  # rad/s, for calibrations without the rate of their turns
-UP, DENSE = (np.concatenate([half, -half]) for half in (directions(), np.concatenate([np.eye(3), directions(1000)])))
+UP = np.concatenate([directions(), -directions()])
+DENSE = np.concatenate([np.eye(3), directions(1000), -np.eye(3), -directions(1000)])
 """Unit vectors (N, 3) over the sphere, each with its opposite, for fits and for the largest error."""
 
 

@@ -43,7 +43,6 @@ from tumble.result.shared_errors import is_device_property, prior_sensitivities
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate
 from tumble.run.from_estimate import origin_of, parameters_of
-from tumble.run.magnetometer import PARAMETER_NAMES
 from tumble.run.observed import Progress
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.grades import TURN_ON, guessed_grade, spread_of
@@ -446,5 +445,5 @@ def _mean_model(frame: Frame, block: Block | None, values: Mapping[str, float]) 
     if block is None:
         return None
     convention = Convention(frame=frame, block=block) if block.kind != "mag" else block
-    names = convention.names if block.kind != "mag" else PARAMETER_NAMES
+    names = convention.names
     return convention.model(np.array([values[name] for name in names])) if set(names) <= set(values) else None

@@ -346,8 +346,9 @@ def _in_motion(observed: Observed) -> Observations | None:
     n_rests = len(segmentation.rests) + len(segmentation.shaken)
     if session.programme is not None or session.log.gyro is None or faulty or n_rests >= FEWEST_RESTS:
         return None
-    reduction, match = without_numbered(observed.reduction, observed.segmentation, session.excluded)
-    spans, notes, links = match.rests, tuple[str, ...](), links_of(reduction, match.rests)
+    reduction, match = without_numbered(observed.reduction, segmentation, session.excluded)
+    spans, notes = match.rests, tuple[str, ...]()
+    links = links_of(reduction, spans)
     trembling = [reduction.by_file[span.file].gyro.means[span.first : span.last].var(axis=0).mean() for span in spans]
     if links and spans and np.median(trembling) > TREMOR**2 + 2.0 * links.gyro_density / reduction.block_seconds:
         notes = (Advised(f"held in the hand in {len(spans)} pauses, which are no rests", "put it down in them"),)
