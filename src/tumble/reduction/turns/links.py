@@ -6,14 +6,15 @@ velocity V and position P, resolved in the body frame at the first node,
     C = Π C_p,   V = Σ R V_p,   P = Σ (V_before T_p + R P_p),   R the rotation before part p.
 
 Each link is integrated in PARTS, whose sensitivities are those of short turns (`tumble.reduction.turns.moments`). With
-[φ | V | P] the first-order change of a link, and that of a part with index p, the parts are joined by
+[φ | δV | δP] the first-order change of a link, and that of a part with index p, the parts are joined by
+(docs/explanation/mathematics.md (42))
 
     φ ← φ + R φ_p,   δV ← δV + φ × R V_p + R δV_p,   δP ← δP + T_p δV + φ × R P_p + R δP_p,
 
-where δV on the right is that before the part. Within a part, the velocity from an accelerometer error grows with time,
-and that from a rotation, ½ φ_p × V_p in all, with its square, so that δP_p = T_p (½ δV_p − φ_p × V_p/12) to a relative
-error of ω T_p/6. White noise of the samples follows the same recursion, as rotations and velocities that arise in each
-part.
+where φ and δV on the right are those before the part. Within a part, the velocity from an accelerometer error grows
+with time, and that from a rotation, ½ φ_p × V_p in all, with its square, so that δP_p = T_p (½ δV_p − φ_p × V_p/12) to a
+relative error of ω T_p/6. White noise of the samples follows the same recursion, with a random rotation and velocity in
+each part.
 """
 
 from __future__ import annotations
