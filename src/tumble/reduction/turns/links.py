@@ -12,9 +12,9 @@ Each link is integrated in PARTS, whose sensitivities are those of short turns (
     φ ← φ + R φ_p,   δV ← δV + φ × R V_p + R δV_p,   δP ← δP + T_p δV + φ × R P_p + R δP_p,
 
 where φ and δV on the right are those before the part. Within a part, the velocity from an accelerometer error grows
-with time, and that from a rotation, ½ φ_p × V_p in all, with its square, so that δP_p = T_p (½ δV_p − φ_p × V_p/12) to a
-relative error of ω T_p/6. White noise of the samples follows the same recursion, with a random rotation and velocity in
-each part.
+with time, and that from a rotation, ½ φ_p × V_p in all, with its square, so that δP_p = T_p (½ δV_p − φ_p × V_p/12) to
+a relative error of ω T_p/6. White noise of the samples follows the same recursion, with a random rotation and velocity
+in each part.
 """
 
 from __future__ import annotations
