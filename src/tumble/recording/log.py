@@ -164,17 +164,6 @@ def samples_of(
 def open_log(session: Session) -> Log:
     """Open the log of a session, and check its files, their columns and their times.
 
-    >>> import numpy as np, tumble
-    >>> description = {
-    ...     "format": 1,
-    ...     "device": {"serial": "A-0007"},
-    ...     "log": {"rate_hz": 100.0, "accel": {"columns": ["ax", "ay", "az"], "unit": "g"}},
-    ... }
-    >>> still = {"ax": np.zeros(300), "ay": np.zeros(300), "az": np.ones(300)}
-    >>> log = open_log(tumble.session_of(description, still))
-    >>> [chunk.accel.shape for chunk in log.chunks(rows=200)]
-    [(200, 3), (100, 3)]
-
     Raises LogError for a format that cannot be read, a damaged or empty file and missing columns, and TumbleError in a
     process forked from one that has read logs, because it lacks the threads of the reader."""
     if _FIRST_READER.setdefault("process", os.getpid()) != os.getpid():

@@ -344,10 +344,7 @@ def estimate_observations(
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples
             estimate = options.estimate(observations)
         if estimate.method != "joint":  # the method joint includes the time base
-            change, relative = clock_errors(estimate.names, by_clock), max(map(abs, by_clock.values()), default=0.0)
-            clock_covariance, budget = np.outer(change, change), estimate.budget
-            budget = None if budget is None else budget.with_source(source("clock", relative, "1"), clock_covariance)
-            estimate = replace(estimate, covariance=estimate.covariance + clock_covariance, budget=budget)
+            estimate = _with_clock(estimate, by_clock)
         if options.terms == "linear" or estimate.method != "joint":
             if estimate.groups:
                 notes += (
@@ -373,6 +370,18 @@ def estimate_observations(
         broken = Advised(broken, "look at them with `tumble inspect`")
         return Outcome(reasons=(one_attitude(observations) or broken,))
     return estimate, replace(observations, notes=notes)
+
+
+def _with_clock(estimate: Estimate, by_clock: Mapping[str, float]) -> Estimate:
+    """Return an estimate with the error of the time base in its covariance and its budget.
+
+    `by_clock` is the change of groups of parameters by one standard uncertainty of the time base."""
+    change = clock_errors(estimate.names, by_clock)
+    covariance, budget = np.outer(change, change), estimate.budget
+    if budget is not None:
+        relative = max(map(abs, by_clock.values()), default=0.0)
+        budget = budget.with_source(source("clock", relative, "1"), covariance)
+    return replace(estimate, covariance=estimate.covariance + covariance, budget=budget)
 
 
 def assumptions(session: Session, accepted: Sequence[str] = ()) -> dict[str, Any]:

@@ -67,7 +67,6 @@ class Rests:
     ) -> Rests:
         """Return rests of one file with mean readings (N, n) in white noise of these densities of accelerometers and
         gyros."""
-
         columns = dict[str, Any]()
         for kind, readings, density in zip(FLOORS, (accel, gyro), densities, strict=True):
             variance = density**2 / (stop - start) + FLOORS[kind] ** 2
