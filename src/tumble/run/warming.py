@@ -326,16 +326,12 @@ def _lag_degrees(estimate: Estimate, kind: str) -> float | None:
     return max(0.5 / max(float(share * r), 1e-6) ** 2, LEAST_LAG_DEGREES)
 
 
-def _kelvin(observations: Observations) -> Array:
-    assert observations.rests.temperatures is not None
-    return observations.rests.temperatures
-
-
 # -------------------- notes --------------------
 
 
 def _notes(estimate: Estimate, observations: Observations, base: Calibration | None) -> Iterator[str]:
-    celsius = _kelvin(observations) - ZERO_CELSIUS
+    assert observations.rests.temperatures is not None
+    celsius = observations.rests.temperatures - ZERO_CELSIUS
     yield f"over temperature: {celsius.min():z.1f} to {celsius.max():z.1f} °C; beyond them nothing was measured"
     for name, sensors in LAGS.items():
         if name in estimate.names:
@@ -358,7 +354,8 @@ def _notes(estimate: Estimate, observations: Observations, base: Calibration | N
 
 def _assumptions(observations: Observations, doubts: Iterable[str]) -> Iterator[str]:
     yield from (f"doubt: {doubt}" for doubt in doubts)
-    span = float(np.ptp(_kelvin(observations), axis=0).max())
+    assert observations.rests.temperatures is not None
+    span = float(np.ptp(observations.rests.temperatures, axis=0).max())
     if span < WIDE:
         yield Advised(
             f"the temperatures span {span:.1f} K, less than {WIDE:.0f}: curvatures have their usual sizes, and beyond "
