@@ -67,7 +67,7 @@ def one_direction(vectors: Array) -> bool:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Together:
-    """The sessions that were joined to one.
+    """Sessions whose rests and turns are in one record of observations.
 
     `names`: of the sessions. `session`: index of the session of each rest (N,), ascending. `number`: number of each
     rest in its session (N,), from 0, which parts of a rest share."""

@@ -95,7 +95,7 @@ class Options:
             raise InputError("--base: expected the method joint with all terms, no prior and no frame, found others")
 
     def estimate(self, observations: Observations) -> Estimate:
-        """Return the estimate by the method; of linear terms alone where the method joint is to have no others."""
+        """Return the estimate by the method, with terms = "linear" for the method joint that of the linear terms."""
         if self.method == "joint" and self.terms == "linear":
             return linear_model.linear_joint(observations)
         words = {} if self.iterations is None else {"iterations": self.iterations}
@@ -267,8 +267,9 @@ def _accelerometers_alone(
 
 
 def _estimated(observed: Observed, options: Options) -> tuple[Estimate, Observations, Observations] | Outcome:
-    """Return the estimate from a recording, its observations with and without what its method adds: from motion, unless
-    rests and turns are as good."""
+    """Return the estimate of a recording, its observations as the estimate used them, and as they were before.
+
+    A recording of motion with rests is estimated from rests and turns too, and from motion only if that is better."""
     observations = observations_for_calibration(observed, joint=options.method == "joint")
     if isinstance(observations, Outcome):
         return observations

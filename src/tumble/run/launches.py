@@ -2,7 +2,7 @@
 
 The covariance of the mean of L launches is the mean of their covariances over L; on the diagonal it is the variance
 from launch to launch over L where that is larger. Errors of gravity, priors and the time base are common to all
-launches: they are separated first, do not average out, and are added to either (`tumble.result.coverage`).
+launches and do not average out: they are separated first, and added in the end (`tumble.result.coverage`).
 """
 
 from __future__ import annotations

@@ -241,8 +241,8 @@ def _of_accelerometers(reduction: Reduction) -> Reduction:
 def _suffices(reduction: Reduction, segmentation: Segmentation, clipped: list[int]) -> bool:
     """Return True if gyros of which some are `clipped` are sound in all rests and in enough turns.
 
-    A turn tells the n integrals of the gyros but one, as the heading after it is not known, and each gyro has a scale
-    factor and two angles. The motion from rest to rest, of a recording with few rests, must be sound as a whole."""
+    A turn determines n − 1 combinations of the n gyros, because the heading after it is not known, and each gyro has
+    a scale factor and two angles. A recording of motion with few rests must be sound as a whole."""
     rests, files, n = segmentation.rests, reduction.by_file, len(reduction.gyro_channels)
     if len(rests) < FEWEST_RESTS:
         return False
