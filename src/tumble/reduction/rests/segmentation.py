@@ -448,7 +448,8 @@ class _RestSearch:
     def _extended_span(self, span: Span, rate: Array | None) -> Span:
         """Return a span with its ends moved."""
         first, last = span
-        k, tenth, half = bisect_right(self.edges, first), (last - first) // 10, min(self.window, last - first) // 2
+        tenth, half = (last - first) // 10, min(self.window, last - first) // 2
+        k = bisect_right(self.edges, first)  # the file is blocks edges[k − 1] … edges[k] − 1
         signals = []
         for values, rounding in ((self.force, self.force_step), (rate, self.rate_step)):
             if values is not None:
