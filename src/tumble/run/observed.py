@@ -51,6 +51,12 @@ from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import prior_sizes, usual_sizes
 from tumble.units import DEGREE, IntArray
 
+OTHER_GRADE_NOISE = 10.0  # ratio to the usual white noise of a grade; within a grade noise differs by a factor of 3
+REJECTED_RESTS_RATIO = 2  # rests rejected by the gyros per rest found, above which the gyros are faulty
+LARGEST_SQUARED = 1e100  # SI; sums of products of larger numbers overflow
+FEWEST_RESTS = 9  # below this number rests alone do not determine accelerometers
+SHORTEST_MOTION = 20.0  # s; a shorter motion determines nothing
+TREMOR = 0.07 * DEGREE  # rad/s rms about an axis over tenths of a second; a hand trembles by more
 Progress = Callable[[Log], Iterable[Chunk]]
 """Function that yields the chunks of a log, for instance to show the progress of reading."""
 
@@ -105,11 +111,6 @@ class Observed(Judged):
     def origin(self) -> dict[str, Any]:
         """Log, sample rate and circumstances, as fields of `Provenance`."""
         return origin_of(self.sha256) | {"sample_rate": self.rate, "circumstances": self.circumstances}
-
-
-OTHER_GRADE_NOISE = 10.0  # ratio to the usual white noise of a grade; within a grade noise differs by a factor of 3
-REJECTED_RESTS_RATIO = 2  # rests rejected by the gyros per rest found, above which the gyros are faulty
-LARGEST_SQUARED = 1e100  # SI; sums of products of larger numbers overflow
 
 
 @checked
@@ -328,11 +329,6 @@ def observations_for_calibration(
     if observed.gyro_faults or (observed.gyro_bias_faults and not joint):
         observations = observations.of_accelerometers()
     return observations if joint else observations.without_magnetometer()
-
-
-FEWEST_RESTS = 9  # below this number rests alone do not determine accelerometers
-SHORTEST_MOTION = 20.0  # s; a shorter motion determines nothing
-TREMOR = 0.07 * DEGREE  # rad/s rms about an axis over tenths of a second; a hand trembles by more
 
 
 def _in_motion(observed: Observed) -> Observations | None:
