@@ -464,7 +464,7 @@ def _with_pause(seen: Observations, rests: Rests, position: IntArray) -> Observa
         C=np.concatenate([seen.turns.C, np.eye(3)[None]]),
         M=np.concatenate([seen.turns.M, seen.turns.M[:1]]),
         B=np.concatenate([seen.turns.B, seen.turns.B[:1]]),
-        arising=np.append(seen.turns.arising, seen.turns.arising[:1]),
+        moment_ratio=np.append(seen.turns.moment_ratio, seen.turns.moment_ratio[:1]),
         velocity_covariance=np.concatenate([seen.turns.velocity_covariance, seen.turns.velocity_covariance[:1]]),
         jumps=np.append(seen.turns.jumps, 0.0),
         aliased=np.append(seen.turns.aliased, 0.0),

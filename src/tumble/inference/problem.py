@@ -652,11 +652,11 @@ def with_errors_of_velocity(problem: Problem, rows: RowNoise, gained: Array) -> 
         return rows
     X, Z, sources = skew(-0.5 * gained), rows.directions.copy(), dict(rows.sources)
     Xt = np.swapaxes(X, 1, 2)
-    for name, share in (("turn.gyro.noise", turns.arising), ("earth", np.ones(len(turns)))):
+    for name, ratio in (("turn.gyro.noise", turns.moment_ratio), ("earth", np.ones(len(turns)))):
         if name in sources:
             covariance = sources[name] = sources[name].copy()
             rotation = covariance[:, :3, :3]
             covariance[:, 3:6, :3], covariance[:, :3, 3:6] = X @ rotation, rotation @ Xt
-            covariance[:, 3:6, 3:6] = share[:, None, None] * (X @ rotation @ Xt)
+            covariance[:, 3:6, 3:6] = ratio[:, None, None] * (X @ rotation @ Xt)
     Z[:, 3:6, -3:] = X @ Z[:, :3, -3:]
     return replace(rows, sources=sources, directions=Z)

@@ -428,8 +428,7 @@ def _lag_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
     kelvin = observations.rests.temperatures
     if kelvin is None or estimate.budget is None:
         return
-    lag_sources = [i for i, source in enumerate(estimate.budget.sources) if source.name == "lag"]
-    by_lag = np.diagonal(estimate.budget.covariances[lag_sources], axis1=1, axis2=2).sum(axis=0)
+    by_lag = estimate.budget.variances_from("lag")
     for name, sensors in LAGS.items():
         if name not in estimate.names:
             continue

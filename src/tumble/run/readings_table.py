@@ -296,7 +296,6 @@ def channels_of(
         scale=sizes * signs,
         offset=np.zeros(3),
         axes=np.eye(3),
-        range=None,
         scale_stated=stated,
     )
     notes = list[str]()
