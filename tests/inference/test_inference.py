@@ -111,7 +111,7 @@ def away_from_bounds(entries: Sequence[Hyperparameter], seed: int = 5) -> Array:
 
 def covariances(step: Solution, unknowns: slice) -> Array:
     """Covariances of some unknowns of each rest, and with those of the next (2, N, k, k)."""
-    sensitivity, parts = step.equations.sensitivity[:, unknowns, :-1], enumerate(step.problem.parts)
+    sensitivity, parts = step.equations.sensitivity[:, unknowns, :-1], enumerate(step.problem.session_spans)
     root = np.concatenate([sensitivity[part.stations] @ step.roots[s] for s, part in parts])
     out = step.conditional_covariances[:, :, unknowns, unknowns].copy()
     out[0] += root @ np.swapaxes(root, 1, 2)
@@ -361,7 +361,7 @@ def test_more_rests_never_make_the_mean_of_a_process_worse() -> None:
         before = np.full(6, np.inf)
         for count in (8, 10, 12, 14):
             at = started(with_turns(session, np.arange(13) < count - 1, count))
-            here = linearise(at.problem, replace(point, attitudes=point.attitudes[:count]), at.about)
+            here = linearise(at.problem, replace(point, attitudes=point.attitudes[:count]), at.integrated)
             step = solve(here, replace(IN_RUN, accel_time=seconds, gyro_time=seconds))
             u = np.sqrt(step.covariance.diagonal()[1:][at.problem.biases])
             assert np.all(u < before * (1.0 + 1e-6))

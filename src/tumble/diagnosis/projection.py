@@ -114,7 +114,7 @@ def projections(
     of_sessions = zip(equations.session_factors, rows.local_prior, strict=True)
     triangles = [with_local_prior(problem.local_u, *each)[q:, q:] for each in of_sessions]
     common = np.append(np.arange(p), p + c)
-    for s, part in enumerate(problem.parts):
+    for s, part in enumerate(problem.session_spans):
         whitened = [equations.rows[kind][at] for kind, at in part.rows.items() if kind != "link"]
         length = np.sqrt(sum((each[..., -1 - c : -1] ** 2).sum(axis=(0, 1)) for each in whitened))
         triangle, others = triangles[s].copy(), 0
@@ -130,7 +130,7 @@ def projections(
         inverse = inverse_of(triangle[first:p, first:p])
         determined = p - first - float(((rows.prior[:, first:p] @ inverse) ** 2).sum())  # γ
         by_columns, variance = inverse @ triangle[first:p, p : p + c], (inverse**2).sum(axis=1)
-        if equations.wanders and len(problem.parts) == 1:
+        if equations.wanders and len(problem.session_spans) == 1:
             biases = 1 - first + problem.biases
             by_common, by_rests = session_mean_bias(equations)
             scale = np.append(np.ones(p - first), np.where(length > 0.0, length, 1.0))

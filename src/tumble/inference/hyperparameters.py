@@ -207,7 +207,7 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     if s:
         work = np.empty((2, s, 2))
         arrays = equations.sensitivity, *solution.conditional_covariances
-        for part, root, shared in zip(problem.parts, solution.roots, solution.shared, strict=True):
+        for part, root, shared in zip(problem.session_spans, solution.roots, solution.shared, strict=True):
             sensitivity, here, with_next = (array[part.stations] for array in arrays)
             process = noise.state_rho[part.stations], noise.state_step[part.stations], noise.state_lapse[part.stations]
             along = times_root(sensitivity[:, -s:, :-1], root)
@@ -380,7 +380,7 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     noise, point, q = equations.noise, solution.linearisation.point, solution.local.shape[-1]
     M, d, width = equations.sensitivity.shape
     at_stations, square = np.zeros((M, d, D)), np.zeros((D, D))  # of XᵀZ and of ZᵀZ
-    of_sessions = np.zeros((len(problem.parts), width - 1, D))
+    of_sessions = np.zeros((len(problem.session_spans), width - 1, D))
 
     def add_square(Z: Array) -> None:
         square[:] += Z.reshape(-1, D).T @ Z.reshape(-1, D)
@@ -396,8 +396,8 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
         add_square(Z)
         products = np.swapaxes(rows[:, :, :-1], 1, 2) @ Z
         for e in range(STATIONS[kind]):
-            at_stations[problem.first[kind] + e] += products[:, e * d : (e + 1) * d]
-        for s, part in enumerate(problem.parts):
+            at_stations[problem.first_station[kind] + e] += products[:, e * d : (e + 1) * d]
+        for s, part in enumerate(problem.session_spans):
             of_sessions[s] += products[part.rows[kind], 1 - width :].sum(axis=0)
 
     # steps of states, and their initial values
@@ -408,7 +408,7 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
         by_step = np.divide(Z, noise.state_step[:, :, None], out=np.zeros_like(Z), where=noise.follows[:, None, None])
         at_stations[:, d - states :] -= noise.state_rho[:, :, None] * by_step
         at_stations[1:, d - states :] += by_step[:-1]
-        at_stations[[part.stations.start for part in problem.parts], d - states :] += of_initial
+        at_stations[[part.stations.start for part in problem.session_spans], d - states :] += of_initial
 
     # priors
     off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
@@ -429,7 +429,7 @@ def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) ->
     For sizes they are the whitened residuals. With S β the steps of the states, of variances V, and w = V⁻¹ S β, those
     for a correlation time, which changes the covariance S⁻¹ V S⁻ᵀ of β, are −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
     noise, b = solution.equations.noise, solution.states
-    first = [part.stations.start for part in solution.problem.parts]
+    first = [part.stations.start for part in solution.problem.session_spans]
     follows, s, n = noise.follows[:, None], b.shape[1], solution.problem.sensors
     lapse = np.where(follows & np.isfinite(noise.state_lapse), noise.state_lapse, 0.0)
     rho, step = np.where(follows, noise.state_rho, 0.0), np.where(follows, noise.state_step, 1.0)

@@ -526,13 +526,15 @@ def _triangles(here: Linearisation, places: IntArray) -> Triangles:
     gamma[:, others] = -inverse @ R[:, o, g]
     omega[:, others[:, None], others] = inverse @ np.swapaxes(inverse, 1, 2)
     kept = np.setdiff1d(np.arange(1 + problem.instrument.linear_count, p), places)
-    sizes = np.log(problem.prior_u[:, kept]).sum(axis=1) + len(problem.parts) * np.log(problem.local_u).sum(axis=1)
+    sizes = np.log(problem.prior_u[:, kept]).sum(axis=1) + len(problem.session_spans) * np.log(problem.local_u).sum(
+        axis=1
+    )
     pivots = np.log(np.abs(np.diagonal(R[:, o, o], axis1=1, axis2=2))).sum(axis=1)
     pivots += [sum(np.log(np.abs(head.diagonal())).sum() for head in session_heads) for session_heads in heads]
     biases = 1 + problem.biases
     y = np.append(np.arange(p), biases)
     alpha, gamma, omega = alpha[:, y], gamma[:, y], omega[:, y[:, None], y]
-    if equations.wanders and len(problem.parts) == 1:
+    if equations.wanders and len(problem.session_spans) == 1:
         by_shared, by_noise = session_mean_bias(equations)
         pairs = (mean_by_common(derivatives, head) for derivatives, (head,) in zip(by_shared, heads, strict=True))
         by_common, by_local = map(np.array, zip(*pairs, strict=True))

@@ -162,7 +162,7 @@ def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], 
             values,
             covariance,
             gravity=observations.site.gravity,
-            rate=usual_rate(fitted.linearisation.about),
+            rate=usual_rate(fitted.linearisation.integrated),
         ),
         linearised=linearisation.with_priors(problem).with_components(fitted.components),
         own=of_sessions,
@@ -223,11 +223,11 @@ def _process_bias(fitted: Maximum, found: Posterior, common: Array) -> Iterator[
         yield ProcessBias(name=problem.instrument.names[i], value=value, u=float(u), next_u=float(next_u))
 
 
-def usual_rate(about: IntegratedTurns | None) -> float | None:
+def usual_rate(integrated: IntegratedTurns | None) -> float | None:
     """Return the root mean square rate of the turns, rad/s; None without turns."""
-    if about is None or not len(about.moments):
+    if integrated is None or not len(integrated.moments):
         return None
-    moments = about.moments
+    moments = integrated.moments
     return float(np.sqrt(moments.body_rates[:, [0, 3, 5]].sum() / moments.T.sum()))
 
 

@@ -72,14 +72,14 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
     spread : (m, m)
         Covariance of the parameters added by the uncertainty of the lags.
     """
-    lags, spread = start.problem.lags, np.zeros((len(start.problem.instrument.names),) * 2)
+    lags, spread = start.problem.lag_places, np.zeros((len(start.problem.instrument.names),) * 2)
     if not lags:
         return maximise_from_starts(start, iterations), spread
     usual = {kind: start.problem.observations.usual[f"{kind}.lag"] for kind in lags}
 
     def held(values: Array, near: Linearisation) -> Linearisation:
         """Return the linearisation with lags held at those among values (m,)."""
-        return near.again(near.problem.with_lags(values), replace(near.point, values=values))
+        return near.again(near.problem.with_held_lags(values), replace(near.point, values=values))
 
     def again(values: Array) -> Maximum:
         return maximise(held(values, replace(fitted.linearisation, point=fitted.point)), fitted.phi, iterations)
@@ -100,7 +100,7 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
             for k in np.argsort(np.abs(grid - values[i])):
                 lag, at_lag = float(grid[k]), values.copy()
                 at_lag[i] = lag
-                there = here.at_lags(here.problem.with_lags(at_lag), at_lag)
+                there = here.with_lags(here.problem.with_held_lags(at_lag), at_lag)
                 known_lags, known_phi = zip(*sorted(phi_at.items()), strict=True)
                 phi = np.array([np.interp(lag, known_lags, element) for element in np.transpose(known_phi)])
                 solution = solution_at(there, fitted.hyperparameters, phi)

@@ -101,15 +101,15 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     """Add the magnetometer of a session to its first linearisation.
 
     Returns the linearisation and "", or the same linearisation and the reason why its readings cannot be used."""
-    problem, about = start.problem, start.about
+    problem, integrated = start.problem, start.integrated
     if problem.magnetic is None:
         return start, ""
     readings, _, _, station = problem.magnetic
     begun = start
     for _ in range(FIRST_STEPS):
         point, _ = take_step(solve(begun))
-        about = reintegrated_turns(problem, point, about)
-        begun = linearise(problem, point, about)
+        integrated = reintegrated_turns(problem, point, integrated)
+        begun = linearise(problem, point, integrated)
     point = begun.point
     attitudes = point.attitudes[station]
     fit = by_attitudes(readings, attitudes, problem.chain[station])
@@ -136,7 +136,7 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     local = np.concatenate([np.broadcast_to(unknowns, (len(point.local), len(unknowns))), point.local], axis=1)
     u = np.concatenate([magnetometer.u, problem.local_u])
     problem = replace(problem, magnetometer=magnetometer, local_u=u, usual_local_u=u)
-    begun = linearise(problem, replace(point, attitudes=turned, local=local), about)
+    begun = linearise(problem, replace(point, attitudes=turned, local=local), integrated)
     return replace(begun, noise=begun.noise.weighted(outlier_weights({"mag": ~kept}))), ""
 
 

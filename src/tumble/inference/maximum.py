@@ -170,7 +170,7 @@ def maximise(
         # Gauss–Newton step of x, to the point of the next linearisation
         point, change = take_step(solution, keep=len(increments) >= TO_AND_FRO)
         increments.append(change)
-        about, noise = reintegrated_turns(problem, point, linearisation.about), linearisation.noise
+        integrated, noise = reintegrated_turns(problem, point, linearisation.integrated), linearisation.noise
         weights = before = noise.weights
         if robust:
             of_rows, outliers = student_weights(chi_square_falls(solution)), left_out(start.noise.weights)
@@ -181,7 +181,7 @@ def maximise(
         weights_settled = all(np.all(np.abs(weights[kind] - w) < WEIGHT_CHANGE) for kind, w in before.items())
         if len(increments) >= TO_AND_FRO:  # so that two rows do not get the low weight alternately
             weights = {kind: 0.5 * (weights[kind] + w) for kind, w in before.items()}
-        settled = negligible(solution) and about is linearisation.about and phi_settled and weights_settled
+        settled = negligible(solution) and integrated is linearisation.integrated and phi_settled and weights_settled
         if settled or len(increments) >= iterations:
             information, B = curvatures if near else derivatives(hyperparameters, solution)[1:]
             return Maximum(
@@ -194,7 +194,7 @@ def maximise(
                 increments=tuple(increments),
                 converged=settled,
             )
-        linearisation = linearise(problem, point, about)
+        linearisation = linearise(problem, point, integrated)
         linearisation = replace(linearisation, noise=linearisation.noise.weighted(weights))
 
 
@@ -369,7 +369,7 @@ def _with_gravity_kept(solution: Solution) -> tuple[Array, Array, Array]:
     by_gravity = solution.parameters[0] / solution.covariance[0, 0]
     angles = [
         solution.angles[part.stations] - by_gravity * sensitivity[part.stations, :3, :-1] @ along
-        for part, along in zip(problem.parts, solution.session_covariances[:, :, q], strict=True)
+        for part, along in zip(problem.session_spans, solution.session_covariances[:, :, q], strict=True)
     ]
     local = solution.local - by_gravity * solution.session_covariances[:, :q, q]
     return solution.parameters - by_gravity * solution.covariance[:, 0], np.concatenate(angles), local
@@ -383,20 +383,22 @@ def heading_information(solution: Solution) -> Array:
     d, information = equations.unknowns, np.zeros(len(problem.chain))
     for kind, rows in equations.rows.items():
         by_heading = rows[:, :, 2] if STATIONS[kind] == 1 else rows[:, :, 2] + rows[:, :, d + 2]
-        information[problem.first[kind]] += (by_heading**2).sum(axis=1)
+        information[problem.first_station[kind]] += (by_heading**2).sum(axis=1)
     return information
 
 
-def reintegrated_turns(problem: Problem, point: Point, about: IntegratedTurns | None) -> IntegratedTurns | None:
+def reintegrated_turns(problem: Problem, point: Point, integrated: IntegratedTurns | None) -> IntegratedTurns | None:
     """Return the turns, integrated again if parameters have moved too far since the last integration."""
-    if about is None:
+    if integrated is None:
         return None
     changes = problem.coefficient_changes(point)
     gyros = slice(problem.instrument.accel.size, None)
-    if changes is not None and about.are_small(changes[:, gyros], problem.noise_of_turns):
+    if changes is not None and integrated.are_small(changes[:, gyros], problem.noise_of_turns):
         changes = None
     gyro_changes = 0.0 if changes is None else changes[:, gyros]
-    links_good = about.links is None or about.links.valid_at(problem.instrument, point.values, problem.noise_of_parts)
-    if links_good and about.valid_at(problem.instrument, point.values, problem.noise_of_turns, gyro_changes):
-        return about
+    links_good = integrated.links is None or integrated.links.valid_at(
+        problem.instrument, point.values, problem.noise_of_parts
+    )
+    if links_good and integrated.valid_at(problem.instrument, point.values, problem.noise_of_turns, gyro_changes):
+        return integrated
     return IntegratedTurns.of(problem.observations, problem.instrument, point.values, changes)

@@ -56,7 +56,7 @@ def contributions(solution: Solution) -> dict[str, Array]:
         SK = K if SK is None else SK
         out[name] = out.get(name, 0.0) + K.reshape(-1, K.shape[-1]).T @ SK.reshape(-1, K.shape[-1])
 
-    for s, part in enumerate(problem.parts):
+    for s, part in enumerate(problem.session_spans):
         # Z (39); N is zero but for the biases
         Y, stations = np.eye(q + size)[q:], part.stations
         if mean is not None:
@@ -73,7 +73,7 @@ def contributions(solution: Solution) -> dict[str, Array]:
             block, of_kind = part.rows[kind], noise.rows[kind]
             K, station = (
                 times(rows[block, :, STATIONS[kind] * d : -1], Z_x),
-                problem.first[kind][block] - stations.start,
+                problem.first_station[kind][block] - stations.start,
             )
             for e in range(STATIONS[kind]):
                 K += rows[block, :, e * d : (e + 1) * d] @ Z[station + e]

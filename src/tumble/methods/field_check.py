@@ -324,18 +324,18 @@ def session_information(
     instrument, turns, values = prior.instrument, observations.turns, prior.values
     start = dict(zip(instrument.names, values.tolist(), strict=True))
     problem = Problem.of(replace(observations, start=start), Prior(covariance=covariance), instrument=instrument)
-    about = None if turns is None or not len(turns) else IntegratedTurns.of(observations, instrument, values)
+    integrated = None if turns is None or not len(turns) else IntegratedTurns.of(observations, instrument, values)
     vertical = unit_vector(specific_force(instrument, values, observations.rests.accel))
-    attitudes = headings(problem, vertical, values, about)
+    attitudes = headings(problem, vertical, values, integrated)
     point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
     for _ in range(MAX_ITERATIONS):
-        step = solve(linearise(problem, point, about, prior.components))
+        step = solve(linearise(problem, point, integrated, prior.components))
         there, change = take_step(step)
-        near = reintegrated_turns(problem, there, about)
-        if near is about and np.all(np.abs(change) <= CONVERGED * np.sqrt(np.diag(step.covariance)[1:])):
+        near = reintegrated_turns(problem, there, integrated)
+        if near is integrated and np.all(np.abs(change) <= CONVERGED * np.sqrt(np.diag(step.covariance)[1:])):
             break
-        point, about = there, near
-    equations = eliminate_rests(linearise(problem, point, about, prior.components))
+        point, integrated = there, near
+    equations = eliminate_rests(linearise(problem, point, integrated, prior.components))
     session, off = equations.session_factors[0], np.append(point.gravity, point.values) - problem.prior_mean
     angles = int(np.count_nonzero(np.diagonal(equations.rest_factors, axis1=1, axis2=2)[:, :3]))
     R = session[:-1, :-1]
