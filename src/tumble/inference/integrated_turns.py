@@ -190,11 +190,6 @@ class IntegratedTurns:
         """Q (K, 3, n, 15) of the accelerometers."""
         return self.paths[:, 3:, : -self.to_rate.shape[1]]
 
-    @property
-    def by_velocity(self) -> Array:
-        """Q (K, 3, n, 15) of the gyros."""
-        return self.paths[:, 3:, -self.to_rate.shape[1] :]
-
     def rows(self, instrument: Instrument, values: Array, model: tuple[Array, Array]) -> Array:
         """Return [−∂φ/∂θ | φ] above [−∂V/∂θ | V] (K, 6, m + 1) at `values` (m,), to first order.
 
