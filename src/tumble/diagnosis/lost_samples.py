@@ -21,6 +21,7 @@ from tumble.diagnosis.causes import SHORTEST_TURN, Cause, LinearisedSession
 from tumble.diagnosis.findings import TURN_GROUPS, Finding
 from tumble.diagnosis.projection import SumOfSquares, approximate_drops
 from tumble.inference.integrated_turns import IntegratedTurns
+from tumble.inference.linearisation import gained_in_turns
 from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
@@ -93,7 +94,7 @@ def lost_in_one_turn(session: LinearisedSession) -> list[Cause]:
     rest, turn = (np.zeros((*each.shape, 2 if in_velocities else 1)) for each in rows.residuals)
     turn[:, :3, 0] = axis
     if in_velocities:
-        turn[:, 3:6, 1] = np.cross(axis, rows.gained)
+        turn[:, 3:6, 1] = np.cross(axis, gained_in_turns(rows.problem, rows.point))
     drops = approximate_drops(session.solution.equations.whitening["turn"] @ turn, *session.solution.residuals["turn"])
     chosen, words = np.zeros(len(turn)), list[dict[str, object]]()
     for part, observed in zip(session.problem.session_spans, session.observed, strict=True):

@@ -185,8 +185,9 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
 
 
 def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Array:
-    """Return v rᵀPDPr and v tr PD (2, D) of the variance of every element of φ; for a correlation time their difference
-    is its derivative. Raises LinAlgError if residuals are not finite."""
+    """Return v rᵀPDPr and v tr PD (2, D) of the variance v of every element of φ.
+
+    For a correlation time they are the derivative of ℓ and 0. Raises LinAlgError if residuals are not finite."""
     problem, equations, point = solution.problem, solution.equations, solution.linearisation.point
     noise = equations.noise
     n, s, q = problem.sensors, noise.states, solution.local.shape[-1]
@@ -218,10 +219,8 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
         information = np.divide(1.0, size**2, out=np.zeros_like(size), where=size > 0.0)
         return np.stack([off**2 * information, 1.0 - variance * information])
 
-    off, off_local = (
-        point.values + solution.parameters[1:] - problem.prior_mean[1:],
-        point.local + solution.local,
-    )
+    off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
+    off_local = point.local + solution.local
     priors = prior_forms(off, (solution.roots[0, q + 1 :] ** 2).sum(axis=-1), problem.prior_u[1:])
     local_priors = prior_forms(off_local, (solution.roots[:, :q] ** 2).sum(axis=-1), problem.local_u)
 
@@ -313,10 +312,8 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
         add("process", f"{kind}_in_run", SCATTER_WORDS[kind][0], words, usual, within, members)
         add("time", f"{kind}_time", "s", f"correlation time of the {words}", CORRELATION_TIME, within, members)
         for c, sensor in enumerate(block.sensors if block.size > 1 and not undisturbed else ()):
-            name, words = (
-                f"{kind}.in_run.{sensor}",
-                f"scatter and in-run bias of {kind} {sensor} over those of the others",
-            )
+            name = f"{kind}.in_run.{sensor}"
+            words = f"scatter and in-run bias of {kind} {sensor} over those of the others"
             add("sensor", name, "1", words, 1.0, float(np.log(UNLIKE)), slice(first + c, first + c + 1))
         first += block.size
     if problem.moves:

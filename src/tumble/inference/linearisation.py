@@ -85,11 +85,6 @@ class Linearisation:
         return np.asarray(turn[:, :, columns] + turn[:, :, columns.start + d : columns.stop + d])
 
     @property
-    def gained(self) -> Array:
-        """Velocity (K, 3), m/s, that gravity gives the turns, in the body at their start."""
-        return gained_in_turns(self.problem, self.point)
-
-    @property
     def rotations(self) -> Array:
         """Rotations (K, 3, 3) of the turns, body at the end → body at the start, with the parameters of the point."""
         integrated, changes = self.integrated, self.problem.coefficient_changes(self.point)
@@ -207,11 +202,8 @@ def _rows_at_stations(problem: Problem, point: Point, model: tuple[Array, Array]
     turned[0][:, :, 2], turned[1][:, :, 2] = 0.0, -problem.earth[0] * basis[:, :, 1]
     first = 0
     for block, observed in zip(instrument.blocks, (rests.accel, rests.gyro), strict=False):
-        at, used, rows = (
-            slice(first, first + block.size),
-            instrument.used[block.kind],
-            problem.zero_rows(block.kind, block.size),
-        )
+        at, used = slice(first, first + block.size), instrument.used[block.kind]
+        rows = problem.zero_rows(block.kind, block.size)
         K, D, beta = model[0][at], model[1][at][:, used], functions(block, f, w)
         by_force, by_rate = _slopes(block, K, f, w)
         rows[:, :, :3] = by_force @ turned[0] + by_rate @ turned[1]

@@ -1,13 +1,8 @@
 """Maximum of the posterior ℓ(φ) of the hyperparameters, with the unknowns x integrated out.
 
 x are gravity, the parameters, those of each session, the attitudes and the states of the in-run biases: the problem is
-linear, or nearly so, in x given φ (`tumble.inference.hyperparameters`). The function to maximise is the logarithm of
-the posterior of φ with x integrated out,
-
-    ℓ(φ) = ln p(φ) − ½ [rᵀV⁻¹r + x̂ᵀP₀x̂ + ln |V| − ln |P₀| + 2 Σ ln |diag R|]
-
-where r are the residuals at x̂(φ), V is the covariance of all rows, P₀ the precision of the priors (x̂ counts from
-their means) and R stands for all triangles of the elimination; docs/explanation/mathematics.md (23), (28) and (29).
+linear, or nearly so, in x given φ (`tumble.inference.hyperparameters`). ℓ(φ) is the logarithm of the posterior of φ
+with x integrated out, docs/explanation/mathematics.md (23), (28) and (29).
 
     x   Gauss–Newton: x ← x + argmin of the residuals linearised at x. Turns are integrated again about the current
         parameters wherever the second-order effect of the change since the last integration matters.
@@ -252,33 +247,35 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
     best = maximise(start, iterations=iterations)
     if start.problem.observations.turns is None:
         return best
-    hyperparameters, starts = best.hyperparameters, list[tuple[float, Array]]()
+    hyperparameters, bias_after = best.hyperparameters, start.problem.bias_after
     sizes = {h.name: float(h.value(p)) for h, p in zip(hyperparameters, best.phi, strict=True)}
     absorbing = [h for h in hyperparameters if not (h.kind == "time" or h.name in NOT_ABSORBING)]
     far = [h for h in absorbing if sizes[h.name] > BEYOND * h.usual]
-    share, turns = start.problem.bias_after, len(start.problem.before_turn) > 0
+    starts = list[tuple[float, Array]]()  # `Problem.bias_after` and φ
     if any(h.kind in {"scatter", "group"} for h in far):
-        useless = [np.log(USELESS[h.name]) if h.name in USELESS else h.centre for h in hyperparameters]
-        starts.append((share, np.array(useless)))
+        useless_turns = [np.log(USELESS[h.name]) if h.name in USELESS else h.centre for h in hyperparameters]
+        starts.append((bias_after, np.array(useless_turns)))
     groups = np.array([h.kind == "group" for h in hyperparameters], dtype=bool)
     if far and groups.any():
-        starts.append((share, np.where(groups, [WIDE * h.within for h in hyperparameters], hyperparameters.centre)))
-    scatters = any(h.name in REST_SCATTER and sizes[h.name] > h.usual for h in hyperparameters)
-    if scatters or any(h.kind == "process" for h in far):
-        anew = best.phi.copy()
+        wide_groups = np.where(groups, [WIDE * h.within for h in hyperparameters], hyperparameters.centre)
+        starts.append((bias_after, wide_groups))
+    rests_scatter = any(h.name in REST_SCATTER and sizes[h.name] > h.usual for h in hyperparameters)
+    if rests_scatter or any(h.kind == "process" for h in far):
+        changing_biases = best.phi.copy()  # the scatter at rest is in their size
         for i, h in enumerate(hyperparameters):
             if h.name in NOT_ABSORBING:
                 continue
             if h.kind == "time":
-                anew[i] = np.log(ANEW)
+                changing_biases[i] = np.log(ANEW)
             elif h.kind == "process":
-                anew[i] = np.log(np.hypot(sizes[h.name], sizes.get(h.name.removesuffix("_in_run"), 0.0)))
+                changing_biases[i] = np.log(np.hypot(sizes[h.name], sizes.get(h.name.removesuffix("_in_run"), 0.0)))
             elif h.name in REST_SCATTER:
-                anew[i] = h.centre
-        starts += [(0.0, anew), (1.0, anew)] if turns else [(share, anew)]
-    for bias_after, phi in starts:
-        known = best if bias_after == best.linearisation.problem.bias_after else None
-        first = start.again(replace(start.problem, bias_after=bias_after), start.point)
+                changing_biases[i] = h.centre
+        shares = (0.0, 1.0) if len(start.problem.before_turn) else (bias_after,)
+        starts += [(share, changing_biases) for share in shares]
+    for share, phi in starts:
+        known = best if share == best.linearisation.problem.bias_after else None
+        first = start.again(replace(start.problem, bias_after=share), start.point)
         other = maximise(first, phi, iterations, known=known)
         if other.converged and other.solution.log_posterior > best.solution.log_posterior:
             best = other

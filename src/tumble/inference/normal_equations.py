@@ -291,22 +291,26 @@ def whitened_rows(linearisation: Linearisation, whitening: Mapping[str, Array]) 
 
 
 def rows_by_station(linearisation: Linearisation, rows: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Return whitened rows as those of every station (M, r, d + w), and those that join it to the next (M, t, 2 d + w).
+    """Return the whitened rows of every station (M, r, d + w), and those that join it to the next (M, t, 2 d + w).
 
     Rows are zero where a kind has none. The last of those that join are the steps of the s states (19)."""
     problem, noise = linearisation.problem, linearisation.noise
-    s, d, M, out = noise.states, noise.unknowns, len(problem.chain), list[Array]()
-    for stations, more in ((1, 0), (2, s)):
-        kinds = {kind: each for kind, each in rows.items() if STATIONS[kind] == stations}
-        *stack, _, _, width = rows["accel" if stations == 1 else "turn"].shape
-        height = sum(each.shape[-2] for each in kinds.values() if each.shape[-3]) + more
-        out.append(np.zeros((*stack, M, height, width)))
-        last = 0
-        for kind, each in kinds.items():
-            if each.shape[-3]:
-                last += each.shape[-2]
-                out[-1][..., problem.first_station[kind], last - each.shape[-2] : last, :] = each
-    at_stations, joints = out
+    s, d, M = noise.states, noise.unknowns, len(problem.chain)
+
+    def joined_kinds(stations: int, always: str, further: int) -> Array:
+        """Return the kinds of rows in the unknowns of one or two stations, one below the other, then `further` zeros.
+
+        The kind `always` has an array, perhaps without rows, in every problem."""
+        kinds = {kind: of_kind for kind, of_kind in rows.items() if STATIONS[kind] == stations and of_kind.shape[-3]}
+        *stack, _, _, width = rows[always].shape
+        out, top = np.zeros((*stack, M, sum(each.shape[-2] for each in kinds.values()) + further, width)), 0
+        for kind, of_kind in kinds.items():
+            bottom = top + of_kind.shape[-2]
+            out[..., problem.first_station[kind], top:bottom, :] = of_kind
+            top = bottom
+        return out
+
+    at_stations, joints = joined_kinds(1, "accel", 0), joined_kinds(2, "turn", s)
     if s:
         here, step = np.flatnonzero(noise.follows)[:, None], noise.state_step[..., noise.follows, :]
         state = np.arange(s)

@@ -126,8 +126,8 @@ class Point:
         displacements: Array | None = None,
     ) -> Point:
         """Return the point after steps of gravity and the parameters (1 + m,), of the angles (M, 3), of the parameters
-        of each session and of the velocities, and with new displacements. The heading, which may be far off, is turned
-        exactly."""
+        of each session (S, q) and of the velocities (M, 3), with new displacements (M, 3). The heading, which may be
+        far off, is rotated exactly."""
         tilt = (bases(self.attitudes)[:, :, :2] @ angles[:, :2, None])[:, :, 0]
         return Point(
             values=self.values + parameters[1:],
@@ -576,8 +576,8 @@ def unknown_earth_variance(problem: Problem) -> float:
 
 def _constant_noise(problem: Problem) -> NoiseModel:
     """Return the noise of all rows but links, without the errors of velocity by errors of rotation."""
-    observations, rests, earth = problem.observations, problem.observations.rests, unknown_earth_variance(problem)
-    N, gyro, links = len(rests), observations.gyro_block, observations.links
+    observations, rests, links = problem.observations, problem.observations.rests, problem.observations.links
+    gyro, earth = observations.gyro_block, unknown_earth_variance(problem)
     rows = {"accel": _noise_at_stations("accel", {"accel.noise": rests.accel_covariance})}
     if problem.instrument.gyro is not None and gyro is not None:
         sources = {"gyro.noise": rests.gyro_covariance}
@@ -585,14 +585,18 @@ def _constant_noise(problem: Problem) -> NoiseModel:
             sources["earth"] = np.broadcast_to(earth * gyro.axes @ gyro.axes.T, rests.gyro_covariance.shape)
         rows["gyro"] = _noise_at_stations("gyro", sources)
     if problem.prior.attitude is not None:
-        attitude = np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (N, 3, 3))
+        attitude = np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3))
         rows["attitude"] = _noise_at_stations("attitude", {"attitude": attitude})
     if problem.magnetometer is not None and problem.magnetic is not None:
         least = (LEAST_FIELD * problem.magnetometer.field) ** 2 * np.eye(3)
         rows["mag"] = _noise_at_stations("mag", {"mag.noise": problem.magnetic.covariance + least})
     rows["turn"] = _noise_of_turns(problem)
 
-    file, time = (rests.file, 0.5 * (rests.start + rests.stop)) if links is None else (links.file, links.time)
+    # processes of the biases, within a file, and of the displacements, over free links
+    if links is None:
+        file, time = rests.file, 0.5 * (rests.start + rests.stop)
+    else:
+        file, time = links.file, links.time
     follows = np.ones(len(time), dtype=bool)
     follows[[part.stations.stop - 1 for part in problem.session_spans]] = False
     interval = np.full((len(time), problem.sensors + 3 * problem.moves), np.inf)
@@ -608,9 +612,9 @@ def _constant_noise(problem: Problem) -> NoiseModel:
 
 
 def _noise_at_stations(kind: str, sources: Mapping[str, Array]) -> RowNoise:
-    """Return the noise of rows with a component of variance of this name, if there is one, that is alike in each."""
+    """Return the noise of rows of a kind, with the component of variance of its name, if any, in each of the r rows."""
     K, r, _ = next(iter(sources.values())).shape
-    component = np.full(r if kind in SCATTER else 0, SCATTER.index(kind) if kind in SCATTER else 0)
+    component = np.full(r, SCATTER.index(kind)) if kind in SCATTER else np.zeros(0, dtype=int)
     directions = np.broadcast_to(np.eye(r, len(component)), (K, r, len(component)))
     return RowNoise(sources=sources, directions=directions, component=component, weight=np.ones(K))
 
@@ -618,8 +622,8 @@ def _noise_at_stations(kind: str, sources: Mapping[str, Array]) -> RowNoise:
 def _noise_of_turns(problem: Problem) -> RowNoise:
     """Return the noise of turns without the errors of velocity by errors of rotation."""
     turns, readings, gyro = problem.observations.turns, problem.observations.turn_readings, problem.instrument.gyro
-    K, t, v, earth = len(problem.before_turn), problem.rows_of_turn, 3 if problem.instrument.in_velocities else 0, 0.0
-    spare = t - v - 3
+    K, t, v = len(problem.before_turn), problem.rows_of_turn, 3 if problem.instrument.in_velocities else 0
+    spare, earth = t - v - 3, unknown_earth_variance(problem)
     sources = {"turn.gyro.noise": np.zeros((K, t, t))}
     component = np.repeat([SCATTER.index(name) for name in OF_TURNS], [3, v, spare, v, spare, 3])
     Z = np.zeros((K, t, len(component)))
@@ -631,7 +635,7 @@ def _noise_of_turns(problem: Problem) -> RowNoise:
         if v:
             sources["turn.accel.noise"] = np.zeros((K, t, t))
             sources["turn.accel.noise"][:, 3:6, 3:6] = turns.velocity_covariance
-        if (earth := unknown_earth_variance(problem)) > 0.0:
+        if earth > 0.0:
             sources["earth"] = np.zeros((K, t, t))
             sources["earth"][:, :3, :3] = turns.duration[:, None, None] ** 2 * earth * np.eye(3)
         jumps, aliased = np.sqrt(turns.jumps)[:, None, None], np.sqrt(turns.aliased)[:, None, None]

@@ -71,10 +71,8 @@ def contributions(solution: Solution) -> dict[str, Array]:
         # covariances by source (38)
         for kind, rows in equations.rows.items():
             block, of_kind = part.rows[kind], noise.rows[kind]
-            K, station = (
-                times(rows[block, :, STATIONS[kind] * d : -1], Z_x),
-                problem.first_station[kind][block] - stations.start,
-            )
+            K = times(rows[block, :, STATIONS[kind] * d : -1], Z_x)
+            station = problem.first_station[kind][block] - stations.start
             for e in range(STATIONS[kind]):
                 K += rows[block, :, e * d : (e + 1) * d] @ Z[station + e]
             H = np.swapaxes(equations.whitening[kind][block] / of_kind.root_weights[block, None], -1, -2) @ K
