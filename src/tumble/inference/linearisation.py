@@ -313,28 +313,25 @@ def _rows_of_increments(problem: Problem, point: Point, kind: str, increments: I
     rows[:, :3, :3], rows[:, :3, d : d + 3] = -np.swapaxes(left, 1, 2) @ basis, left @ C @ bases(end)
     rows[:, :3, -1] = r
 
-    # ∫ e^{[Ω×]s} ds = T (1 + [x×]/2 + [x×]²/6) and ∬ e^{[Ω×]s} ds² = T²/2 (1 + [x×]/3 + [x×]²/12), x = Ω T
-    x, gained = skew(T[:, None] * problem.earth), point.gravity * T[:, None] * UP
-    velocity = slice(3, 6), increments.V, gained, x / 2.0 + x @ x / 6.0
-    position = slice(6, 9), increments.P, 0.5 * T[:, None] * gained, x / 3.0 + x @ x / 12.0
-    of_turn = (velocity,) if problem.instrument.in_velocities else ()
-    for at, observed, by_gravity, sideways in (velocity, position) if kind == "link" else of_turn:
-        rows[:, at, :3], predicted = _by_gravity(start, basis, by_gravity, sideways)
+    def subtract_gravity(at: slice, observed: Array, gained: Array, by_earth: Array) -> None:
+        """Fill in the rows of increments by gravity, Lᵀ (1 + `by_earth`) `gained` in the body at the start.
+
+        `gained` (K, 3) is vertical, `by_earth` (K, 3, 3) the effect of the Earth's rotation, which alone depends on
+        the heading."""
+        vertical, added = ((each[:, None] @ start)[:, 0] for each in (gained, (by_earth @ gained[:, :, None])[:, :, 0]))
+        predicted = vertical + added
+        rows[:, at, :2], rows[:, at, 2:3] = skew(predicted) @ basis[:, :, :2], skew(added) @ basis[:, :, 2:]
         if problem.observations.site.gravity_u > 0.0:
             rows[:, at, -2 - len(point.values)] = predicted / point.gravity
         rows[:, at, -1] = observed - predicted
+
+    # ∫ e^{[Ω×]s} ds = T (1 + [x×]/2 + [x×]²/6) and ∬ e^{[Ω×]s} ds² = T²/2 (1 + [x×]/3 + [x×]²/12), x = Ω T
+    x, gained = skew(T[:, None] * problem.earth), point.gravity * T[:, None] * UP
+    if kind == "link" or problem.instrument.in_velocities:
+        subtract_gravity(slice(3, 6), increments.V, gained, x / 2.0 + x @ x / 6.0)
+    if kind == "link":
+        subtract_gravity(slice(6, 9), increments.P, 0.5 * T[:, None] * gained, x / 3.0 + x @ x / 12.0)
     return rows
-
-
-def _by_gravity(start: Array, basis: Array, gained: Array, sideways: Array) -> tuple[Array, Array]:
-    """Return the derivatives (K, 3, 3) by the angles at the `start`, and the value (K, 3), of an increment by gravity.
-
-    The increment in the body at the `start` (K, 3, 3) is Lᵀ (1 + sideways) gained, `gained` (K, 3) being vertical and
-    `sideways` (K, 3, 3) the effect of the Earth's rotation, the only part that depends on the heading."""
-    turned = (sideways @ gained[:, :, None])[:, :, 0]
-    vertical, level = ((each[:, None] @ start)[:, 0] for each in (gained, turned))
-    derivatives = np.concatenate([skew(vertical + level) @ basis[:, :, :2], skew(level) @ basis[:, :, 2:]], axis=2)
-    return derivatives, vertical + level
 
 
 def _link_rows(
