@@ -12,11 +12,8 @@
 For a device that lies still while it warms up, ÷× 30 is ÷× 5, there is no scatter from one part of the rest to the
 next, and all sensors of a kind are alike.
 
-Components of variance may become small but no test excludes them. The prior of those of turns falls off as a power:
-with an exponential one, turns spoilt by a hundred times their noise are so unlikely that sound accelerometers are
-blamed. With λ = exp(max(p, 0)), half of the prior probability is that the usual size holds, and half that it is too
-small by a factor of the order k: 2 for a data sheet, 3 for a stated grade, 10 for a guessed grade if the next poorer
-grade has a larger size. A size is never reduced.
+k is 2 for a data sheet, 3 for a stated grade, 10 for a guessed grade if the next poorer grade has a larger size. The
+reasons for these priors are in docs/explanation/mathematics.md, section 8.
 
 Gradient. All hyperparameters but the correlation times are variances v of rows: of rests, of turns, of the steps of a
 process, or of priors. With D = ∂V/∂v, P the projection onto residuals and r = y − X x̂, for ln σ with σ² = v, (24) to

@@ -28,15 +28,11 @@ along it through the maximum; of λ = exp(max(p, 0)), half of the density is the
 
 The points z are two fixed low-discrepancy sequences, each transformed to have exactly the mean and covariance of the
 normal distribution, so that a result is reproducible to the last digit. The weights w ∝ e^ℓ/q of the points of ψ, each
-summed over its sizes, are Pareto smoothed (Vehtari et al. 2024). With the step m and its covariance Ω at each draw
-
-    x̄ = Σ w m,    C = Σ w (Ω + m mᵀ) − x̄ x̄ᵀ
-
-and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians divided by its u. u is
-limited to half of that half width, which few far points do not affect. The sampling error is half the difference
-between the results of the two independent sequences, of a u or of a value divided by u, or, if larger, that of a half
-width by the scatter of its probabilities at the points (`Draws.coverage`): where few points decide the tails, both
-sequences may agree by chance.
+summed over its sizes, are Pareto smoothed (Vehtari et al. 2024). Mean and covariance are (33), coverage factors (34); u
+is limited to half of the half width at 95.45 %, which few far points do not affect. The sampling error is half the
+difference between the results of the two independent sequences, of a u or of a value divided by u, or, if larger, that
+of a half width by the scatter of its probabilities at the points (`Draws.coverage`): where few points decide the tails,
+both sequences may agree by chance.
 
 If that error exceeds LARGEST_ERROR, or few points are effective, the proposal misses a part of the posterior: another
 mode, or longer tails. Each sequence is then continued by adaptive multiple importance sampling (Cornuet et al. 2012).

@@ -337,18 +337,11 @@ def _rows_of_increments(problem: Problem, point: Point, kind: str, increments: I
 def _link_rows(
     problem: Problem, point: Point, parts: IntegratedTurns, model: tuple[Array, Array]
 ) -> tuple[Array, RowNoise]:
-    """Return the rows of the links, and their noise.
-
-    With v the velocity in the body, s the displacement and r the lever, the residuals of rotation, velocity and
-    position are
-
-        log(C L_jᵀ e^{−[Ω×]T} L_i)
-        V − C v_j + v_i − L_iᵀ ∫ e^{[Ω×]s} g e_U ds
-        P − (C − 1) r − L_iᵀ (s_j − s_i) + v_i T − L_iᵀ ∬ e^{[Ω×]s} g e_U ds²
+    """Return the rows of the links, and their noise: the residuals (41) of rotation, velocity and position.
 
     Coriolis forces are left out: they are below 5 µg at velocities of a hand. At a rest the velocity is zero, and
-    positions are not compared, because a device is put down anywhere. The support bends by `support_columns`, whose
-    derivatives by the attitude are left out."""
+    positions are not compared, because a device is put down anywhere. F are the `support_columns`, whose derivatives by
+    the attitude are left out."""
     links, d = problem.observations.links, problem.station_columns
     assert links is not None
     i, T, J, by_part = links.before, links.duration, len(links), parts.rows(problem.instrument, point.values, model)
