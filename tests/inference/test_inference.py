@@ -306,7 +306,7 @@ def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew()
     for each in (one, two):
         at = started(each)
         steps.append([solve(at, c) for c in (short, long)])
-        begins = at.noise.at(long).state_rho[4]
+        begins = at.with_components(long).noise.state_rho[4]
         assert np.all(begins == 0.0) == (each is two)
     u = np.sqrt(np.diag(steps[0][0].covariance))
     np.testing.assert_allclose(steps[1][0].parameters / u, steps[0][0].parameters / u, atol=1e-6)

@@ -90,29 +90,29 @@ def fit_causes(session: LinearisedSession, causes: Sequence[Cause]) -> list[list
     The p-value is multiplied by the number of places tried (Bonferroni)."""
     rest, turn = (np.concatenate([cause.columns[rows] for cause in causes], axis=2) for rows in (0, 1))
     ends = np.cumsum([cause.columns[0].shape[2] for cause in causes])
-    columns = np.split(np.arange(ends[-1]), ends[:-1])
+    columns = np.split(np.arange(ends[-1]), ends[:-1])  # of each cause
     linearised, instrument = session.linearised, session.problem.instrument
     groups = positions_by_group(instrument.names[: instrument.linear_count])
 
     # the noise: as estimated or, for a jump, with in-run biases of usual size, which are less likely by `excess`
     components, in_run = linearised.components, linearised.problem.observations.in_run
     as_estimated = list(projections(linearised, components, rest, turn))
-    with_usual, excess = as_estimated, 0.0
+    with_usual_biases, excess = as_estimated, 0.0
     if components.wanders and any(cause.beside for cause in causes):
         sizes = {f"{kind}_in_run": min(getattr(components, f"{kind}_in_run"), in_run[kind]) for kind in in_run}
         usual = replace(components, **sizes, unlike=np.zeros(0))
-        with_usual = list(projections(linearised, usual, rest, turn))
+        with_usual_biases = list(projections(linearised, usual, rest, turn))
         excess = float(solve(linearised, usual).deviance - session.solution.deviance)
 
     causes_by_session = []
-    for s, (estimated, steady) in enumerate(zip(as_estimated, with_usual, strict=True)):
+    for s, (estimated, usual_biases) in enumerate(zip(as_estimated, with_usual_biases, strict=True)):
         best = dict[tuple[str, SensorKind | None], tuple[Finding, IntArray, Projection]]()
         for cause, own in zip(causes, columns, strict=True):
-            judge, similar = steady if cause.beside else estimated, own[len(own) - cause.beside :]
-            fit, sized = estimated.fit(own), judge.fit(own)
-            if fit is None or sized is None:
+            judge, size = usual_biases if cause.beside else estimated, len(own) - cause.beside
+            fit, judged = estimated.fit(own), judge.fit(own)
+            if fit is None or judged is None:
                 continue
-            p_value = cause.places * judge.p_value(own, similar)
+            p_value = cause.places * judge.p_value(own, beside=own[size:])
             if cause.beside:
                 p_value = max(p_value, cause.places * judge.p_value(own, handicap=max(0.0, excess)))
             name = cause.name, cause.kind
@@ -128,7 +128,7 @@ def fit_causes(session: LinearisedSession, causes: Sequence[Cause]) -> list[list
                 concerns=() if cause.kind is None else (cause.kind,),
                 p_value=min(1.0, p_value),
                 by_group={group: float(damage[members].max()) for group, members in groups.items()},
-                sentence=cause.sentence(s, float(np.abs(sized.values[: len(own) - cause.beside]).max())),
+                sentence=cause.sentence(s, float(np.abs(judged.values[:size]).max())),
             )
             best[name] = found, own, judge
         causes_by_session.append(_beside_the_likeliest(list(best.values())))
@@ -202,7 +202,7 @@ class LinearisedSession:
     def columns(self, kind: SensorKind, change: Array, at_rest: Array = STEADY, in_turn: Array = STEADY) -> Columns:
         """Return the effect of changes ∂K/∂c = `change` (n, 15, q) of the coefficients of a kind of sensors, times
         their courses `at_rest` (N, q) and `in_turn` (K, q), in which 1 is for all."""
-        rows, block, sensors = self.linearised, self.blocks[kind], self._sensors(kind)
+        rows, block, sensors = self.linearised, self.blocks[kind], self.linearised.noise.places[kind]
         by_function = functions(block, self.force, self.rate)
         rest, turn = (np.zeros((*residuals.shape, change.shape[2])) for residuals in rows.residuals)
         rest[:, sensors] = np.einsum("npb,pbq->npq", by_function, change) * at_rest[:, None]
@@ -236,11 +236,6 @@ class LinearisedSession:
                 in_turn[part.turns] -= mean
             lasts.append(int(last) if len(possible) else part.rests.start)
         return at_rest, in_turn, lasts
-
-    def _sensors(self, kind: SensorKind) -> slice:
-        """Return the rows of a kind of sensors at rest."""
-        n = self.observations.accel_block.size
-        return slice(n) if kind == "accel" else slice(n, n + self.blocks[kind].size)
 
 
 def unit_biases(block: Block) -> Array:

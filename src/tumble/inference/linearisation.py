@@ -98,7 +98,7 @@ class Linearisation:
 
     def with_components(self, components: VarianceComponents) -> Linearisation:
         """Return the linearisation with other components of variance."""
-        return replace(self, noise=self.noise.at(components))
+        return replace(self, noise=replace(self.noise, components=components))
 
     def with_priors(self, problem: Problem) -> Linearisation:
         """Return the linearisation with the priors of a problem."""
@@ -181,7 +181,7 @@ def linearise(
         prior=prior_rows(problem, point, array),
         local_prior=-point.local / problem.local_u[..., None, :],
         array=array,
-        noise=replace(noise, rows=of_rows).at(components),
+        noise=replace(noise, rows=of_rows, components=components),
     )
 
 

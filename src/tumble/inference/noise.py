@@ -206,10 +206,6 @@ class NoiseModel:
     sensors: tuple[int, int]
     components: VarianceComponents = NO_COMPONENTS
 
-    def at(self, components: VarianceComponents) -> NoiseModel:
-        """Return the noise with other components of variance."""
-        return replace(self, components=components)
-
     @property
     def weights(self) -> dict[str, Array]:
         """Weights (K,) of the blocks, by kind of rows."""
