@@ -449,7 +449,7 @@ def test_sizes_folded_into_a_triangle_are_those_of_the_whole_elimination(name: s
     phi[1, groups] += 0.7
     members, element = members_of(fitted, groups)
     every = triangles(fitted.linearisation, hyperparameters, phi[:1], members)
-    sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(phi[:, element])
+    sizes = fitted.problem.usual_u[1 + members] * np.exp(phi[:, element])
     folded = Folded.of(every.information[0], every.right[0], sizes)
     own = slice(1 + len(fitted.problem.instrument.names))  # without the biases as means of their processes
     alpha, gamma, omega = every.alpha[0, own], every.gamma[0, own], every.omega[0, own, own]

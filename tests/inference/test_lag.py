@@ -181,7 +181,7 @@ def test_a_lag_is_judged_with_the_sizes_that_are_likeliest_with_it() -> None:
     fitted, _ = maximum_with_lags(initial_linearisation(problem), MAX_ITERATIONS)
     values = fitted.point.values.copy()
     values[problem.lag_places["gyro"]] += 200.0
-    held = fitted.usual_problem.with_held_lags(values)
+    held = fitted.linearisation.problem.with_held_lags(values)
     there = linearise(held, replace(fitted.point, values=values), fitted.linearisation.integrated)
     best = maximise(there, fitted.phi).solution.log_posterior
     plain = solution_at(there, fitted.hyperparameters, fitted.phi)

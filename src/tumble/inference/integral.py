@@ -17,14 +17,10 @@ residuals, V their covariance, P the inverse of V with all unknowns eliminated, 
     1/(a + 1) = v̂ rᵀPDPDPr/rᵀPDPr,   ν = v̂ tr PD (a + 1),   κ = v̂ rᵀPDPr (a + 1)²
 
 which has the gradient and the average information of ℓ at the maximum. The likelihood in it is stretched about the
-maximum by the root of the ratio of the standard deviations of φ_i with other elements free and held. Of a slowly
-changing bias a session of length T observes only the variance about its mean,
-
-    σ_b² (1 − 2 (x − 1 + e^{−x})/x²),   x = T/τ
-
-and f along σ_b at a time τ is that with an equal ρ of this variance. For a correlation time the density is ℓ along the
-time through the maximum, at constant variance within the session, mixed with the prior. For a size of a group it is ℓ
-along it through the maximum; of λ = exp(max(p, 0)), half of the density is the prior of p < 0.
+maximum by the root of the ratio of the standard deviations of φ_i with other elements free and held. For the size of an
+in-run bias, v is its variance about the mean of the session at the correlation time of the point. For a correlation
+time, at constant variance within the session, and for the size of a group the density is ℓ along it through the
+maximum, mixed with the prior or, for p < 0, the prior alone.
 
 The points z are two fixed low-discrepancy sequences, each transformed to have exactly the mean and covariance of the
 normal distribution, so that a result is reproducible to the last digit. The weights w ∝ e^ℓ/q of the points of ψ, each
@@ -380,11 +376,11 @@ def _times_of(hyperparameters: Hyperparameters) -> dict[int, int]:
 
 
 def _spread_in_session(noise: NoiseModel, log_time: Array) -> Array:
-    """Return ln of the standard deviation of an in-run bias about its mean over a session, relative to σ_b."""
+    """Return ln of the standard deviation of an in-run bias about its mean over a session of length T, relative to σ_b:
+    ½ ln(1 − 2 (x − 1 + e^{−x})/x²), x = T/τ."""
     interval = noise.interval[:, 0]
-    chains = np.isinf(interval).sum()
-    x = np.exp(-log_time) * interval[np.isfinite(interval)].sum() / max(chains, 1)
-    x = np.maximum(x, 1e-3)
+    total, chains = interval[np.isfinite(interval)].sum(), max(np.isinf(interval).sum(), 1)  # T is the mean over chains
+    x = np.maximum(np.exp(-log_time) * total / chains, 1e-3)
     return np.asarray(0.5 * np.log(1.0 - 2.0 * (x + np.expm1(-x)) / x**2))
 
 
@@ -605,7 +601,7 @@ def _size_densities(fitted: Maximum, sizes: list[int], learned: Array) -> dict[i
     hyperparameters, phi = fitted.hyperparameters, fitted.phi
     members, element = members_of(fitted, np.array(sizes))
     triangle, out = triangles(fitted.linearisation, hyperparameters, phi[None], members), dict[int, Density]()
-    usual = fitted.usual_problem.usual_u[1 + members]
+    usual = fitted.problem.usual_u[1 + members]
     S = usual * np.exp(np.maximum(phi[element], 0.0))
     at_maximum = Folded.of(triangle.information[0], triangle.right[0], S[None])
     covariance, value = at_maximum.covariance(np.ones(1)), at_maximum.values[0]
@@ -736,7 +732,7 @@ def _draw(fitted: Maximum, proposal: Proposal, normal: Array, sequence: int) -> 
     hyperparameters, (members, element) = fitted.hyperparameters, members_of(fitted, proposal.inner)
     phi, log_q = proposal.points(fitted.phi, normal)
     phi, log_q_sizes = proposal.with_sizes(phi, sequence)
-    sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
+    sizes = fitted.problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
     at = triangles(fitted.linearisation, hyperparameters, phi[:, 0], members)
     log_q = log_q[:, None] + log_q_sizes
     log_weight = hyperparameters.log_prior(phi)[0].sum(axis=-1) - log_q - 0.5 * at.deviance[:, None]

@@ -19,16 +19,9 @@ kind support them, or those of the other. Where the data of the other kind say n
 A lag matters only if something changes with temperature. If nothing does, every lag fits, and large ones best: the
 sensors have then hardly warmed up, and parameters at the temperature of the thermometer are extrapolated far from the
 observations. Hence there are two hypotheses of equal prior probability: the temperature coefficients c of a kind of
-sensor have usual sizes, c ~ N(0, S), and λ has the prior (1); or they are zero. With the solution θ(λ) of covariance
-C(λ), the odds of the first at a lag are the ratio of the prior to the posterior density at c = 0 (Savage–Dickey),
-
-    O(λ) = (|C_c|/|S|)^½ exp(½ cᵀ C_c⁻¹ c),    P = ∫ p(λ) O(λ) dλ / (1 + ∫ p(λ) O(λ) dλ)
-
-and with λ̄ = P E λ, θ₀ and C₀ of the second hypothesis, and E the mean over the lags of the first,
-
-    C = (1 − P) [C₀ + (θ₀ − θ(λ̄))(θ₀ − θ(λ̄))ᵀ] + P E[C(λ) + (θ(λ) − θ(λ̄))(θ(λ) − θ(λ̄))ᵀ]
-
-but not less than C(λ̄), docs/explanation/mathematics.md (35).
+sensor have usual sizes, c ~ N(0, S), and λ has the prior (1); or they are zero. The odds O(λ) of the first at a lag are
+the ratio of the prior to the posterior density at c = 0 (Savage–Dickey), and its probability P that with the mean of
+O over the prior; docs/explanation/mathematics.md (35) has λ̄ and the covariance of this mixture.
 """
 
 from __future__ import annotations

@@ -175,11 +175,13 @@ def _agreeing(rows: Array, modulus: Array, share: float) -> tuple[Array, BoolArr
     squares = (np.swapaxes(rows, 1, 2) @ rows).reshape(K, -1)
 
     def fit(member: Array) -> tuple[Array, Array, Array]:
+        """Return eigenvalues (s, c), x (s, c) and squared errors (s, K) of fits to s subsets, 1 or 0 (s, K)."""
         value, vector = np.linalg.eigh((member @ squares).reshape(-1, c, c))
         x = vector[:, :, 0]
         error = ((rows @ x.T) ** 2).sum(axis=1).T
         return value, x, error / np.maximum(((x @ modulus) ** 2).sum(axis=1), 1e-300)[:, None]
 
+    # least trimmed squares: each subset becomes that of the smallest errors
     kept = np.ones((1, K))
     if least < K:
         order = np.random.default_rng(K).random((SUBSETS, K)).argsort(axis=1)
@@ -188,6 +190,8 @@ def _agreeing(rows: Array, modulus: Array, share: float) -> tuple[Array, BoolArr
             error = fit(kept)[2]
             kept = np.where(error <= np.partition(error, least - 1, axis=1)[:, least - 1 : least], 1.0, 0.0)
         kept = kept[[np.argmin((error * kept).sum(axis=1))]]
+
+    # all readings that agree with the best of them
     for widened in (WIDENED, *[1.0] * REFITS):
         value, x, error = fit(kept)
         scale = float((error * kept).sum() / max(r * kept.sum() - c + 1, 1.0))

@@ -104,11 +104,6 @@ class Maximum:
     converged: bool
 
     @property
-    def usual_problem(self) -> Problem:
-        """Problem with groups of usual size."""
-        return self.linearisation.problem
-
-    @property
     def problem(self) -> Problem:
         """Problem with groups of the sizes at the maximum."""
         return self.solution.problem
@@ -163,7 +158,7 @@ def maximise(
                 return known
 
         # Gauss–Newton step of x, to the point of the next linearisation
-        point, change = take_step(solution, keep=len(increments) >= TO_AND_FRO)
+        point, change = take_step(solution, keep_headings=len(increments) >= TO_AND_FRO)
         increments.append(change)
         integrated, noise = reintegrated_turns(problem, point, linearisation.integrated), linearisation.noise
         weights = before = noise.weights
@@ -283,7 +278,10 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
 
 
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
-    """Return the maximum without rests and turns that are outliers; `fitted` itself if there are none."""
+    """Return the maximum without rests and turns that are outliers; `fitted` itself if there are none.
+
+    If the largest distance is improbable, outliers are those of a robust maximum. The maximum without them is computed
+    until all of them are outliers with respect to it, at most ROUNDS times."""
     before, outliers = left_out(fitted.linearisation.noise.weights), _outliers(fitted.solution)
     distances = np.concatenate([distance[~before[kind]] for kind, distance in sigmas(fitted.solution).items()])
     p_value = 2.0 * scipy.special.ndtr(-distances.max(initial=0.0)) * len(distances)
@@ -330,21 +328,21 @@ def negligible(solution: Solution, share: float = CONVERGED) -> bool:
     return bool(np.all(after <= share * u + 1e-15))
 
 
-def take_step(solution: Solution, keep: bool = False) -> tuple[Point, Array]:
+def take_step(solution: Solution, keep_headings: bool = False) -> tuple[Point, Array]:
     """Return the point after the step of a solution, and the step of the parameters.
 
-    The step is shortened so that no parameter moves by more than its spread. The mean heading of chains that the gyros
-    hardly observe is kept, or of all chains if `keep`, unless there is a magnetometer."""
+    The step is shortened so that no parameter moves by more than its spread. Without a magnetometer the mean heading of
+    chains that the gyros hardly observe is kept, or of all chains with `keep_headings`."""
     problem, equations = solution.problem, solution.equations
     parameters, angles, local = _with_gravity_kept(solution)
     share = 1.0 / max(1.0, float(np.max(np.abs(parameters[1:]) / problem.spread)))
     angles, chain = share * angles, problem.chain
     # scaled by chi-square per row: a heading from residuals far above the Earth's rate would oscillate
     count = sum(rows.shape[0] * rows.shape[1] for rows in equations.rows.values())
-    hidden = np.bincount(chain, heading_information(solution)) < UNSEEN**-2 * max(1.0, solution.square / count)
-    if (keep or hidden.any()) and problem.magnetometer is None:
+    unobserved = np.bincount(chain, heading_information(solution)) < UNSEEN**-2 * max(1.0, solution.square / count)
+    if (keep_headings or unobserved.any()) and problem.magnetometer is None:
         mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
-        angles[:, 2] -= np.where(hidden | keep, mean, 0.0)[chain]
+        angles[:, 2] -= np.where(unobserved | keep_headings, mean, 0.0)[chain]
     velocities = displacements = None
     if problem.moves:
         velocities = share * solution.unknowns[:, 3:6]

@@ -29,10 +29,9 @@ An attitude is updated in the body, L → L exp([δ×]), with δ in the basis t�
 J_l(r) is the left Jacobian of the rotation group, J_r(r) = J_l(r)ᵀ. In this basis the coefficients of a heading that
 the gyros do not observe vanish exactly: the heading stays free and takes no information from other unknowns.
 
-Noise, (16) and (17): to the noise within rests, components of variance are added, and the bias of every sensor is a
-Gauss–Markov process whose states are unknowns of the rests (`tumble.inference.noise`). Without a latitude the Earth's
-rate is noise of Ω/√3 per axis. If all rests have one attitude, the unknown part of the Earth's rate is an error common
-to them all (`tumble.inference.sources`), because a free heading in (14) would absorb a level direction of the biases.
+Noise and in-run biases are those of `tumble.inference.noise`. Without a latitude the Earth's rate is noise of Ω/√3 per
+axis. If all rests have one attitude, the unknown part of the Earth's rate is an error common to them all
+(`tumble.inference.sources`), because a free heading in (14) would absorb a level direction of the biases.
 """
 
 from __future__ import annotations

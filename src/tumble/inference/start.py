@@ -140,23 +140,25 @@ def _initial_motion(problem: Problem, values: Array) -> Linearisation:
     block, chain, station = instrument.gyro, problem.chain, np.arange(M)
     assert block is not None
     places = instrument.own(block)
-    first, last = np.searchsorted(chain, chain), np.searchsorted(chain, chain, side="right") - 1
-    low, high = np.maximum(station - WINDOW, first), np.minimum(station + WINDOW, last)
+
+    # both ends of the window of each station within its chain, and pairs of stations of a chain 2 WINDOW apart
+    low = np.maximum(station - WINDOW, np.searchsorted(chain, chain))
+    high = np.minimum(station + WINDOW, np.searchsorted(chain, chain, side="right") - 1)
     here = station[: max(M - 2 * WINDOW, 0)]
     here = here[chain[here] == chain[here + 2 * WINDOW]]
     there = here + 2 * WINDOW
     for _ in range(2):
         C, V, T = _transitions(problem, IntegratedTurns.of(observations, instrument, values))
-        A = np.array(list(accumulate(C[:-1], np.matmul, initial=np.eye(3))))
-        gained = np.concatenate([np.zeros((1, 3)), np.cumsum((A @ V[:, :, None])[:, :, 0], axis=0)])
-        vertical = unit_vector((np.swapaxes(A, 1, 2) @ (gained[high] - gained[low])[:, :, None])[:, :, 0] + 1e-12 * UP)
+        A = np.array(list(accumulate(C[:-1], np.matmul, initial=np.eye(3))))  # body → axes of the first station
+        At = np.swapaxes(A, 1, 2)
+        velocity = np.concatenate([np.zeros((1, 3)), np.cumsum((A @ V[:, :, None])[:, :, 0], axis=0)])
+        vertical = unit_vector((At @ (velocity[high] - velocity[low])[:, :, None])[:, :, 0] + 1e-12 * UP)
         vertical[problem.station] = unit_vector(problem.accel_model(values).apply(observations.rests.accel))
-        swept = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(T[:, None, None] * A, axis=0)])
-        to_body = np.swapaxes(A[here], 1, 2)
-        back = (to_body @ A[there] @ vertical[there][:, :, None])[:, :, 0]
-        rows = skew(back) @ to_body @ (swept[there] - swept[here])
+        integral = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(T[:, None, None] * A, axis=0)])  # ∫ A dt
+        carried_back = (At[here] @ A[there] @ vertical[there][:, :, None])[:, :, 0]
+        rows = skew(carried_back) @ At[here] @ (integral[there] - integral[here])
         if len(rows):
-            bias = np.linalg.lstsq(rows.reshape(-1, 3), (vertical[here] - back).ravel(), rcond=1e-6)[0]
+            bias = np.linalg.lstsq(rows.reshape(-1, 3), (vertical[here] - carried_back).ravel(), rcond=1e-6)[0]
             values[places][: block.size] += (block.axes @ bias)[block.channels]
     integrated = IntegratedTurns.of(observations, instrument, values)
     C, _, T = _transitions(problem, integrated)
