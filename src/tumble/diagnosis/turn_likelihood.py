@@ -110,7 +110,7 @@ class TurnLikelihood:
         """Return the cost of one ln Q, with that of the exchange."""
         return float(np.interp(log_q, self.log_q, self.cost, left=0.0, right=self.unturned)) + self.exchanged
 
-    def found(self, log_q: float | None = None, within: float = 0.1) -> float:
+    def best_q(self, log_q: float | None = None, within: float = 0.1) -> float:
         """Return the Q of least misfit within an interval of ln Q, by default about the least cost."""
         log_q = float(self.log_q[np.argmin(self.cost)]) if log_q is None else log_q
         near = np.flatnonzero(np.abs(self.log_q - log_q) <= within)

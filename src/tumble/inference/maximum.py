@@ -13,7 +13,7 @@ with x integrated out, docs/explanation/mathematics.md (23), (28) and (29).
 The iteration ends when a step of x is negligible relative to u (CONVERGED) and ½ γᵀB⁻¹γ, the expected gain of ℓ, is
 below GAIN per element of φ (`Maximum.converged`), or when it runs out of steps, which is no result.
 
-The mean heading of a chain of turns that the gyros hardly observe (worse than UNSEEN) is not changed. It stays an
+The mean heading of a chain of turns that the gyros hardly observe (worse than UNOBSERVED) is not changed. It stays an
 unknown of every step, so that it takes no information from the parameters. The same holds for the gravity of an unknown
 place.
 """
@@ -57,19 +57,19 @@ WEIGHT_CHANGE = 0.05  # change of the weight of a row that is negligible
 # φ is not moved until a step of x is below NEAR u, for at most FAR_STEPS linearisations: until then residuals are far
 # off.
 NEAR, FAR_STEPS = 1.0, 2
-SAME = 0.1  # distance in ℓ below a known maximum, per element of φ, from which an iteration leads there
-FURTHEST = 2.0  # Δ at first, and its upper limit
-SQUARED = 10.0  # error after a step of Gauss–Newton over the square of the step, in units of the spreads
-UNSEEN = 0.2  # rad: standard deviation above which a heading is not observed by the gyros
+SAME_MAXIMUM = 0.1  # distance in ℓ below a known maximum, per element of φ, from which an iteration leads there
+LARGEST_RADIUS = 2.0  # Δ at first, and its upper limit
+SECOND_ORDER = 10.0  # error after a step of Gauss–Newton over the square of the step, in units of the spreads
+UNOBSERVED = 0.2  # rad: standard deviation above which a heading is not observed by the gyros
 # Linearisations after which a heading that still moves is not observed, and weights of rows go half of the way.
-TO_AND_FRO = 6
+DAMPED_FROM = 6
 PLACE_UNKNOWN = 1e-3  # relative u of gravity of an unknown place, three times that of normal gravity anywhere
-BEYOND = 3.0  # ratio of scatter or a size to the usual from which `maximise_from_starts` tries other starts
+UNUSUAL = 3.0  # ratio of scatter or a size to the usual from which `maximise_from_starts` tries other starts
 NOT_ABSORBING = "mag", "displacement", "displacement_time"  # elements of φ that do not absorb errors of sensors
 ROUNDS = 3  # of readmitting outliers that others, now left out, have made
 USELESS = {"turn": 0.3, "velocity": 3.0}  # rad and m/s: turns of such scatter have no information
-WIDE = 3.0  # prior standard deviations of p from which sizes of groups start
-ANEW = 3.0  # s: correlation time of biases that change at every rest
+WIDE_SIZES = 3.0  # prior standard deviations of p from which sizes of groups start
+CHANGING_TIME = 3.0  # s: correlation time of biases that change at every rest
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -139,13 +139,13 @@ def maximise(
     robust
         True for residuals with a Student-t distribution (`tumble.inference.fits`).
     known
-        An earlier maximum, returned as soon as the iteration approaches it from below to within SAME.
+        An earlier maximum, returned as soon as the iteration approaches it from below to within SAME_MAXIMUM.
     """
     problem, linearisation = start.problem, start
     hyperparameters = hyperparameters_of(problem, start.noise, _estimable(solve(start, NO_COMPONENTS)))
     if phi is None or len(phi) != len(hyperparameters):
         phi = hyperparameters.centre
-    increments, near, phi_settled, radius = list[Array](), False, False, FURTHEST
+    increments, near, phi_settled, radius = list[Array](), False, False, LARGEST_RADIUS
     while True:
         solution = solution_at(linearisation, hyperparameters, phi)
         near = near or len(increments) >= FAR_STEPS or negligible(solution, NEAR)
@@ -154,11 +154,11 @@ def maximise(
         phi = solution.phi
         if known is not None and near and len(phi) == len(known.phi):
             offset, below = phi - known.phi, float(known.solution.log_posterior - solution.log_posterior)
-            if max(below, 0.5 * float(offset @ known.information @ offset)) < SAME * len(phi) and below > 0.0:
+            if max(below, 0.5 * float(offset @ known.information @ offset)) < SAME_MAXIMUM * len(phi) and below > 0.0:
                 return known
 
         # Gauss–Newton step of x, to the point of the next linearisation
-        point, change = take_step(solution, keep_headings=len(increments) >= TO_AND_FRO)
+        point, change = take_step(solution, keep_headings=len(increments) >= DAMPED_FROM)
         increments.append(change)
         integrated, noise = reintegrated_turns(problem, point, linearisation.integrated), linearisation.noise
         weights = before = noise.weights
@@ -169,7 +169,7 @@ def maximise(
                 kind: np.where(outliers[kind] & (w < LEAST_WEIGHT), least[kind], w) for kind, w in of_rows.items()
             }
         weights_settled = all(np.all(np.abs(weights[kind] - w) < WEIGHT_CHANGE) for kind, w in before.items())
-        if len(increments) >= TO_AND_FRO:  # so that two rows do not get the low weight alternately
+        if len(increments) >= DAMPED_FROM:  # so that two rows do not get the low weight alternately
             weights = {kind: 0.5 * (weights[kind] + w) for kind, w in before.items()}
         settled = negligible(solution) and integrated is linearisation.integrated and phi_settled and weights_settled
         if settled or len(increments) >= iterations:
@@ -189,7 +189,7 @@ def maximise(
 
 
 def maximise_phi(
-    hyperparameters: Hyperparameters, solution: Solution, radius: float = FURTHEST
+    hyperparameters: Hyperparameters, solution: Solution, radius: float = LARGEST_RADIUS
 ) -> tuple[Solution, tuple[Array, Array], float, bool]:
     """Maximise ℓ over φ at fixed residuals, by at most STEPS steps of a trust region.
 
@@ -224,7 +224,7 @@ def maximise_phi(
         tried = solution_at(solution.linearisation, hyperparameters, solution.phi + step)
         gained = float(tried.log_posterior - solution.log_posterior)
         poor = gained < 0.1 * expected or expected <= 0.0
-        radius = 0.3 * float(np.abs(step).max()) if poor else min(2.0 * radius, FURTHEST)
+        radius = 0.3 * float(np.abs(step).max()) if poor else min(2.0 * radius, LARGEST_RADIUS)
         if gained > 0.0:
             solution = tried
             gradient, information, B = derivatives(hyperparameters, solution)
@@ -245,14 +245,14 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
     hyperparameters, bias_after = best.hyperparameters, start.problem.bias_after
     sizes = {h.name: float(h.value(p)) for h, p in zip(hyperparameters, best.phi, strict=True)}
     absorbing = [h for h in hyperparameters if not (h.kind == "time" or h.name in NOT_ABSORBING)]
-    far = [h for h in absorbing if sizes[h.name] > BEYOND * h.usual]
+    far = [h for h in absorbing if sizes[h.name] > UNUSUAL * h.usual]
     starts = list[tuple[float, Array]]()  # `Problem.bias_after` and φ
     if any(h.kind in {"scatter", "group"} for h in far):
         useless_turns = [np.log(USELESS[h.name]) if h.name in USELESS else h.centre for h in hyperparameters]
         starts.append((bias_after, np.array(useless_turns)))
     groups = np.array([h.kind == "group" for h in hyperparameters], dtype=bool)
     if far and groups.any():
-        wide_groups = np.where(groups, [WIDE * h.within for h in hyperparameters], hyperparameters.centre)
+        wide_groups = np.where(groups, [WIDE_SIZES * h.within for h in hyperparameters], hyperparameters.centre)
         starts.append((bias_after, wide_groups))
     rests_scatter = any(h.name in REST_SCATTER and sizes[h.name] > h.usual for h in hyperparameters)
     if rests_scatter or any(h.kind == "process" for h in far):
@@ -261,7 +261,7 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
             if h.name in NOT_ABSORBING:
                 continue
             if h.kind == "time":
-                changing_biases[i] = np.log(ANEW)
+                changing_biases[i] = np.log(CHANGING_TIME)
             elif h.kind == "process":
                 changing_biases[i] = np.log(np.hypot(sizes[h.name], sizes.get(h.name.removesuffix("_in_run"), 0.0)))
             elif h.name in REST_SCATTER:
@@ -324,7 +324,7 @@ def negligible(solution: Solution, share: float = CONVERGED) -> bool:
     """Return True if the error expected after this step is below a `share` of u: Gauss–Newton squares it."""
     change = np.abs(_with_gravity_kept(solution)[0][1:])
     u = np.sqrt(solution.covariance.diagonal()[1:])
-    after = change * min(1.0, SQUARED * float(np.max(change / solution.problem.spread)))
+    after = change * min(1.0, SECOND_ORDER * float(np.max(change / solution.problem.spread)))
     return bool(np.all(after <= share * u + 1e-15))
 
 
@@ -339,7 +339,7 @@ def take_step(solution: Solution, keep_headings: bool = False) -> tuple[Point, A
     angles, chain = share * angles, problem.chain
     # scaled by chi-square per row: a heading from residuals far above the Earth's rate would oscillate
     count = sum(rows.shape[0] * rows.shape[1] for rows in equations.rows.values())
-    unobserved = np.bincount(chain, heading_information(solution)) < UNSEEN**-2 * max(1.0, solution.square / count)
+    unobserved = np.bincount(chain, heading_information(solution)) < UNOBSERVED**-2 * max(1.0, solution.square / count)
     if (keep_headings or unobserved.any()) and problem.magnetometer is None:
         mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
         angles[:, 2] -= np.where(unobserved | keep_headings, mean, 0.0)[chain]
