@@ -319,18 +319,19 @@ def session_information(
     attitudes = headings(problem, vertical, values, integrated)
     point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
     for _ in range(MAX_ITERATIONS):
-        step = solve(linearise(problem, point, integrated, prior.components))
-        there, change = take_step(step)
-        near = reintegrated_turns(problem, there, integrated)
-        if near is integrated and np.all(np.abs(change) <= CONVERGED * np.sqrt(np.diag(step.covariance)[1:])):
+        solution = solve(linearise(problem, point, integrated, prior.components))
+        next_point, change = take_step(solution)
+        reintegrated = reintegrated_turns(problem, next_point, integrated)
+        small = np.all(np.abs(change) <= CONVERGED * np.sqrt(np.diag(solution.covariance)[1:]))
+        if small and reintegrated is integrated:
             break
-        point, integrated = there, near
+        point, integrated = next_point, reintegrated
     equations = eliminate_rests(linearise(problem, point, integrated, prior.components))
-    session, off = equations.session_factors[0], np.append(point.gravity, point.values) - problem.prior_mean
+    triangle, off = equations.session_factors[0], np.append(point.gravity, point.values) - problem.prior_mean
+    R, right = triangle[:-1, :-1], triangle[:-1, -1]
     angles = int(np.count_nonzero(np.diagonal(equations.rest_factors, axis1=1, axis2=2)[:, :3]))
-    R = session[:-1, :-1]
     degrees = sum(each.shape[0] * each.shape[1] for each in equations.rows.values()) - angles
-    return R, session[:-1, -1] + R @ off, session[-1, -1] ** 2, degrees
+    return R, right + R @ off, triangle[-1, -1] ** 2, degrees
 
 
 def _largest_by_chance(effects: Array, inverse_degrees: Array) -> float:
