@@ -51,7 +51,7 @@ from tumble.methods.paper.four_stages import (
     shift_by_groups,
 )
 from tumble.methods.paper.gyros import axes_and_angles, known_turns
-from tumble.planning.bounds import linearised_course
+from tumble.planning.bounds import CLOCK, GRAVITY, linearised_course
 from tumble.planning.itinerary import itinerary_of
 from tumble.planning.setup import GROUPS, MEMBERS, NAMES, Setup, check_setup
 from tumble.rotation import rotation_matrix, rotation_vector_near
@@ -289,7 +289,8 @@ def _omitted_groups(setup: Setup, method: MethodOfPaper) -> dict[str, Array]:
 
 
 def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:
-    """Return the variances (21,) of the parameters by each source of noise, on an exact programme."""
+    """Return the variances (21,) of the parameters by each source of noise, by gravity and by the time base, on an
+    exact programme."""
     N, K, noise, g = len(plan.nominal), len(plan.first), setup.noise, setup.gravity
     rest, turn = np.eye(3 * N).reshape(3 * N, N, 3), np.eye(3 * K).reshape(3 * K, K, 3)
 
@@ -312,12 +313,13 @@ def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:
     by_turn = gains(STEP, turned=turn) if K else np.zeros((0, len(NAMES)))
     between = 0.5 * (rest[:, plan.first] + rest[:, plan.first + 1])  # the bias in a turn: mean of those at its ends
     by_change = gains(STEP * EARTH_RATE, rate=rest, drift=between)
-    scale = np.isin(np.arange(len(NAMES)), MEMBERS["accel.scale"])
+    accel_scale, gyro_scale = (np.isin(np.arange(len(NAMES)), MEMBERS[f"{kind}.scale"]) for kind in ("accel", "gyro"))
     return {
         REST_NOISE[0]: (by_accel**2).sum(axis=0) * noise.accel_white**2 / setup.rest,
         REST_NOISE[1]: (by_gyro**2).sum(axis=0) * noise.gyro_white**2 / setup.rest,
         "gyro noise in turns": np.repeat(plan.course.duration, 3) @ by_turn**2 * noise.gyro_white**2,
         "accelerometer instability": by_in_run(by_accel, "accel.bias") * noise.accel_instability**2,
         "gyro instability": by_in_run(by_change, "gyro.bias") * noise.gyro_instability**2,
-        "uncertainty of gravity": scale * (setup.gravity_u / g) ** 2,
+        GRAVITY: accel_scale * (setup.gravity_u / g) ** 2,
+        CLOCK: gyro_scale * setup.clock_u**2,
     }
