@@ -88,6 +88,8 @@ def test_the_result_is_that_of_the_batch_to_the_last_digit(sent: Path, tmp_path:
     again = Station(tmp_path / "launch", None)  # a page that is started again says the same
     again.start()
     assert _when_estimated(again) == shown
+    assert again.command("calibrate") == "calibrated: accepted"
+    assert again.command("register").endswith("found none; start `tumble bench` with --registry FILE")
     again.stop()
 
 

@@ -234,7 +234,8 @@ class Station:
         try:
             return self._buttons[name](value)
         except (TumbleError, OSError) as error:
-            return " ".join(str(error).split())
+            text = error.for_command_line if isinstance(error, TumbleError) else str(error)
+            return " ".join(text.split())
         except Exception as error:
             return _log_error(error, f"{name}: not done")
 
