@@ -161,8 +161,8 @@ def is_over(fault: Fault, task: Task, progress: Progress) -> bool:
     right position a wrong one."""
     groups, programme = progress.groups, task.programme
     if fault.kind == "gap":
-        later = sum(group[0].start > fault.start for group in groups)
-        return later > 1 or (bool(groups) and groups[-1][-1].start > fault.start and progress.judged[-1].enough)
+        taken = sum(group[0].start > fault.start for group in groups)
+        return taken > 1 or (bool(groups) and groups[-1][-1].start > fault.start and progress.judged[-1].enough)
     if fault.kind == "restart":
         return True
     if fault.kind not in PASSING or programme is None:
