@@ -244,7 +244,7 @@ def test_a_recording_that_was_stopped_can_always_go_on(recording: Station, monke
     assert {each["do"]: each["primary"] for each in state["answers"]} == {"resume": True, "calibrate": False}
     with monkeypatch.context() as patched:
         patched.setattr(recording, "_listen", lambda: (_ for _ in ()).throw(InputError("--listen: it is gone")))
-        assert recording.command("resume") == "listen: it is gone"
+        assert recording.command("resume") == "--listen: it is gone"
     assert recording.command("resume") == "recording goes on"
     grows(recording)
     assert recording.command("stop") == "recording has stopped"
