@@ -427,7 +427,7 @@ def test_what_is_not_stated_is_a_remark_only_where_it_is_most_of_u() -> None:
         unstated = {height: "gravity", clock: "clock"}
         made = with_fields(made, assumptions=(height, clock), unstated=unstated, budget=(gravity,))
         text = "\n".join(line for line in text_of(calibration_blocks(made), 400).splitlines() if "stated" in line)
-        minor = "assumed, with less effect on u: "
+        minor = "with less effect on u: "
         time_base = "the uncertainty of the time base is not stated"
         if share > 0.5:
             assert text == f"{minor}{time_base}\nremark: {height}"

@@ -42,6 +42,7 @@ from tumble.inference.noise import CORRELATION_TIME
 from tumble.methods.paper.blocks import TRIAD, model_of
 from tumble.methods.paper.four_stages import (
     GYRO_TRIAD,
+    LARGEST_AZIMUTH,
     SCALAR,
     SEQUENTIAL,
     PaperMethod,
@@ -49,6 +50,7 @@ from tumble.methods.paper.four_stages import (
     course_of_programme,
     one_pass,
     shift_by_groups,
+    weak_north,
 )
 from tumble.methods.paper.gyros import axes_and_angles, known_turns
 from tumble.planning.bounds import CLOCK, GRAVITY, linearised_course
@@ -57,7 +59,7 @@ from tumble.planning.setup import GROUPS, MEMBERS, NAMES, Setup, check_setup
 from tumble.rotation import rotation_matrix, rotation_vector_near
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_parameters
-from tumble.units import DEGREE_PER_HOUR, Array, IntArray
+from tumble.units import Array, IntArray
 
 MethodOfPaper = Literal["sequential", "scalar"]
 METHODS_OF_PAPER: tuple[MethodOfPaper, ...] = ("sequential", "scalar")
@@ -74,9 +76,6 @@ _OF_ACCELEROMETERS: Mapping[MethodOfPaper, tuple[str, ...]] = {
     "scalar": ("scalar, estimated orientation, Eq. (13)",) * 3,
 }
 _OF_GYROS = ("vertical axes, Eq. (18)", *("indirect, programme matrix",) * 2)
-LARGEST_AZIMUTH = 0.1
-"""Largest azimuth error of TRIAD, rad, for formulas of first order in it; the paper requires biases an order of
-magnitude below the Earth's rate as well."""
 REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")  # sources that longer rests reduce
 
 
@@ -268,8 +267,7 @@ def remarks(setup: Setup) -> Iterator[str]:
     north = earth_rate(setup.latitude)[0]
     if rate > LARGEST_AZIMUTH * north:
         yield (
-            f"gyros off by {rate / DEGREE_PER_HOUR:.3g} °/h at rest, with {north / DEGREE_PER_HOUR:.3g} °/h of Earth's "
-            "rate to find north by: the methods sequential and scalar do worse in gyro parameters than predicted, "
+            f"{weak_north(rate, north)}: the methods sequential and scalar do worse in gyro parameters than predicted, "
             "take joint"
         )
 

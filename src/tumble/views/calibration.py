@@ -182,7 +182,7 @@ def calibration_blocks(
         )
     lines += notes_without_expanded(parameters)
     if minor := _minor_assumptions(calibration):
-        lines.append(f"assumed, with less effect on u: {'; '.join(re.split('[:,] ', each)[0] for each in minor)}")
+        lines.append(f"with less effect on u: {'; '.join(re.split('[:,] ', each)[0] for each in minor)}")
     if accepted_kinds(calibration):
         name, others_of_kind = _export_target(calibration, log)
         to = f"{name} -o imu{target(name).ending} ({others_of_kind}others: --help)"
