@@ -158,8 +158,7 @@ class Station:
                 fault, _ = self._present_fault()
             self._estimates.ask(progress, self._answers.excluded)
             screen = screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
-            is_new = fault is not None and (self._last_fault is None or not fault.is_like(self._last_fault))
-            if is_new:
+            if fault is not None and (self._last_fault is None or not fault.is_like(self._last_fault)):
                 self._message = ""  # about the fault before
             self._last_fault, self._taken = fault, max(self._taken, len(progress.groups))
         intake, live, device, programme = self.intake, self._live, self.task.session.device, self.task.programme
