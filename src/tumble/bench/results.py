@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -112,8 +113,9 @@ def write_export(folder: Path, to: str) -> tuple[str, str]:
 
 
 def register(folder: Path, place: str | None, stopped: threading.Event) -> str:
-    """Add a calibration to a registry by `tumble registry add`, and return its messages."""
-    if place is None:
+    """Add a calibration to a registry (None: the user's) by `tumble registry add`, and return its messages."""
+    place = place or os.environ.get("TUMBLE_REGISTRY")
+    if not place:
         raise CalibrationError("registry: expected one, found none; start `tumble bench` with --registry FILE")
     words = "registry", "add", "--registry", place, "--", str(folder / CALIBRATION_FILE)
     status, messages = _run(*words, stopped=stopped)

@@ -155,7 +155,7 @@ def value_blocks(calibration: Calibration, further: Cells | None = None) -> list
         blocks.append(f"Known to (standard uncertainty): {prediction_text(calibration.prediction)}{linear}.")
         correction = "Matrix and bias: true = matrix⁻¹ · (reading − bias)."
         if errors:
-            correction += f" The whole correction takes from a reading besides: {added_terms(calibration)}."
+            correction += f" The whole correction also removes from a reading: {added_terms(calibration)}."
         numbers = "Numbers, formulas and test vectors are in the section “How to apply it”."
         blocks.append(Text(text=f"{correction} {numbers}", tone="small"))
     if calibration.outcome.unobservable:
