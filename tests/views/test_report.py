@@ -43,7 +43,7 @@ from tumble.result.parts import coverage_factor
 from tumble.run.calibrate import calibrate
 from tumble.run.from_readings import calibrate_readings
 from tumble.sensors.model import SensorModel
-from tumble.sensors.parameters import FURTHER
+from tumble.sensors.parameters import FURTHER, Terms
 from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD
 from tumble.views.numbers import fixed, significant
@@ -206,7 +206,8 @@ def test_what_u_contains_is_what_its_budget_has(page: Page) -> None:
     assert nonlinearity not in page.whole
     cube = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], dtype=float)
     cube /= np.linalg.norm(cube, axis=1)[:, None]
-    for terms, contained in (("full", groups), ("linear", nonlinearity)):
+    cases: tuple[tuple[Terms, str], ...] = (("full", groups), ("linear", nonlinearity))
+    for terms, contained in cases:
         table = calibrate_readings(cube, unit="g", grade="mems", terms=terms).calibration
         assert contained in contents_of_u(table)
 
