@@ -156,9 +156,9 @@ def notes_of(
     is what the user has to do."""
     largest = (_largest_errors(calibration, kind, correct, held) for kind, correct in corrections.items())
     errors = ", ".join(filter(None, largest))
-    first = [*left, *_missing_kinds(calibration), *([f"off by what is not in this file: {errors}"] if errors else [])]
+    first = [*left, *_missing_kinds(calibration), *([f"remaining error: {errors}"] if errors else [])]
     lost = [*lacks, *_groups_not_held(calibration, held)]
-    no_place = f"no place in this file for {'; '.join(lost)}" if lost else ""
+    no_place = f"not in this file: {'; '.join(lost)}" if lost else ""
     return tuple(note for note in ("; ".join(first), no_place, "; ".join(see_to)) if note)
 
 

@@ -50,7 +50,7 @@ from tumble.views.report.result import contents_of_u, scope_of_u
 
 LOSSES = (
     "the file is neither signed nor sealed: sign it with the laboratory's tools",
-    "covariances, rests, turns, launches and iterations of the calibration have no place in this file",
+    "not in this file: covariances, rests, turns, launches and iterations of the calibration",
 )
 
 _UNITS = {"m": "metre", "s": "second", "rad": "radian", "K": "kelvin", "degC": "degreecelsius", "%": "percent"}
