@@ -343,8 +343,8 @@ class ForeignLog:
             "first": ",".join(unknown[:3]),
             "file": name,
         }
-        said = "expected {expected}; found {found}; {remedy}".format(**_REFUSALS[kind]).format(**words)
-        raise (GyrosAloneError if kind == "gyros" else InputError)(f"{self.files[0]}: {said}")
+        message = "expected {expected}; found {found}; {remedy}".format(**_REFUSALS[kind]).format(**words)
+        raise (GyrosAloneError if kind == "gyros" else InputError)(f"{self.files[0]}: {message}")
 
 
 @dataclass(kw_only=True, slots=True)
