@@ -171,8 +171,9 @@ def off(found: Array, expected: Array) -> float:
 
 def noiseless(loud: Scenario) -> Observations:
     """Exact observations with the covariances of the noise."""
-    quiet = replace(loud, setup=replace(loud.setup, noise=NoiseModel()))
-    seen, noisy = (simulate_observations(one, np.random.default_rng(3)) for one in (quiet, loud))
+    seen, noisy = (
+        simulate_observations(one, np.random.default_rng(3)) for one in (loud.changed(noise=NoiseModel()), loud)
+    )
     assert seen.turns is not None
     assert noisy.turns is not None
     stated = {name: getattr(noisy.rests, name) for name in ("accel_covariance", "gyro_covariance")}

@@ -84,8 +84,7 @@ def test_errors_are_as_large_as_their_uncertainties_say() -> None:
     parameters. It may be below 1, as a scatter is estimated half of the time where there is none."""
     scenario = drawn(TABLE)
     white = GRADES["mems"].noise
-    noise = NoiseModel(accel_white=white.accel_white, gyro_white=white.gyro_white)
-    scenario = replace(scenario, setup=replace(scenario.setup, noise=noise))
+    scenario = scenario.changed(noise=NoiseModel(accel_white=white.accel_white, gyro_white=white.gyro_white))
     z = []
     for seed in range(50):
         estimate = staged(observed(scenario, record(scenario, np.random.default_rng(seed))))

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -89,6 +90,10 @@ class Scenario:
     serial: str
     climate: Climate | None = None  # temperatures, with which parameters change
 
+    def changed(self, **setup: Any) -> Scenario:
+        """Return the scenario with other values of its set-up."""
+        return replace(self, setup=replace(self.setup, **setup))
+
     @property
     def programme(self) -> Programme | None:
         """The programme on the table; None by hand."""
@@ -112,10 +117,15 @@ class Scenario:
         variables: tuple[Variable, ...] = ("time", *(() if self.climate is None else thermal))
         return Instrument.of(self.accel, self.gyro, tuple({group_name(name) for name in self.truth}), variables)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names (m,) of the parameters of the instrument."""
+        return self.instrument.names
+
     @cached_property
     def values(self) -> Array:
-        """True values (m,) of the parameters of the instrument."""
-        return np.array([self.truth[name] for name in self.instrument.names])
+        """True values (m,) of the parameters, in the order of `names`."""
+        return np.array([self.truth[name] for name in self.names])
 
 
 def scenario_of(
@@ -188,6 +198,8 @@ def _attitudes(setup: Setup, rng: np.random.Generator) -> tuple[tuple[int, ...],
     return tuple(order.tolist()), table @ nominal @ mounting, programme.moves
 
 
+# -------------------- checks --------------------
+
 MOST_POSITIONS = 100_000  # by hand
 
 
@@ -214,7 +226,7 @@ def _check(scenario: Scenario) -> None:
     for what, error in (("table error", setup.table_error), ("mounting error", setup.mounting_error)):
         if by_hand is None and not 0.0 <= error < math.inf:
             raise InputError(f"{what}: expected 0 or more, in deg, found {error / DEGREE:g}")
-    missing = sorted(set(scenario.instrument.names) ^ set(scenario.truth))
+    missing = sorted(set(scenario.names) ^ set(scenario.truth))
     if missing:
         raise InputError(
             f"truth: expected a value for every parameter and no other, found a difference in {missing[0]}"

@@ -126,7 +126,7 @@ def write_simulation(
                 if (folder / name).exists():
                     raise InputError(f"{folder}: expected a new folder, found {what} in it; give another one")
             recording = record(scenario, rng)
-            truth = {name: scenario.truth[name] for name in scenario.instrument.names}
+            truth = {name: scenario.truth[name] for name in scenario.names}
             if (climate := scenario.climate) is not None:
                 truth |= {REFERENCE_NAME: climate.reference - ZERO_CELSIUS}
                 truth |= {f"{kind}.lag": lag for kind, lag in climate.lags.items()}

@@ -80,8 +80,7 @@ class Climate:
     @cached_property
     def record(self) -> Thermometers:
         """The record of the thermometers."""
-        records: Mapping[int, tuple[Array, Array]] = {0: (self.time, self.kelvin)}
-        return Thermometers.of(records)
+        return Thermometers.of({0: (self.time, self.kelvin)})
 
 
 REFERENCE = 25.0  # °C, at which the parameters of simulated devices have their true values
