@@ -44,12 +44,7 @@ from tumble.diagnosis.linear_model import is_omitted, shift_by_likelihood
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.inference.estimate import DETERMINED, UNOBSERVABLE_SHARE
-from tumble.inference.hyperparameters import (
-    LEAST_DEGREES,
-    hyperparameters_of,
-    quadratic_forms,
-    size_factors,
-)
+from tumble.inference.hyperparameters import LEAST_DEGREES, hyperparameters_of, quadratic_forms, size_factors
 from tumble.inference.integral import INFORMATIVE_GROUP
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
@@ -206,10 +201,8 @@ def bound_by(rows: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
     """
     problem, instrument = rows.problem, rows.problem.instrument
     linear, m = instrument.linear_count, len(instrument.names)
-    by_source = {
-        name: covariance[1:, 1:] for name, covariance in contributions(solve(rows.with_priors(problem))).items()
-    }
-    covariance = np.sum(list(by_source.values()), axis=0)
+    by_source = contributions(solve(rows.with_priors(problem)))
+    covariance = np.sum(list(by_source.values()), axis=0)[1:, 1:]
 
     # combinations with a u of more than 1/DETERMINED of their spread are undetermined
     spread, of_linear = problem.spread[:linear], covariance[:linear, :linear]
@@ -226,7 +219,7 @@ def bound_by(rows: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
     clock = clock_errors(instrument.names, clock_effects(clock_u, {"accel": False, "gyro": False}))
     covariance = covariance + np.outer(clock, clock)
     key_of = {GRAVITY: "gravity"} | {name: f"prior.{name}" for name in instrument.members}
-    sources = {name: np.diag(by_source[key]) for name, key in key_of.items() if key in by_source}
+    sources = {name: np.diag(by_source[key])[1:] for name, key in key_of.items() if key in by_source}
     sources[CLOCK] = clock**2
     return Bound(
         names=instrument.names,
