@@ -44,15 +44,12 @@ def complete_draft(draft: Draft, progress: Progress) -> list[str]:
             if rate_u > USUAL_RATE_U:
                 log["clock_ppm_u"] = round(1e6 * min(rate_u, 1.0))
         log[GYRO] = _gyro_table(draft, best, best.gyro, evidence, rivals)
-    of_log = list(_doubts_of_gravity(draft, best, evidence))
-    by_kind: dict[str, str] = {}
-    for kind, doubt in (*_doubts_of_units(draft, best, rivals), *_doubts_of_scale(best, evidence)):
-        if kind is None:
-            of_log.append(doubt)
-        else:
-            by_kind[kind] = doubt
-            log[kind] = log[kind] | {"doubt": doubt}
+    doubts = [*_doubts_of_units(draft, best, rivals), *_doubts_of_scale(best, evidence)]
+    by_kind = {kind: doubt for kind, doubt in doubts if kind is not None}
+    of_log = [*_doubts_of_gravity(draft, best, evidence), *(doubt for kind, doubt in doubts if kind is None)]
     of_log += draft.doubts
+    for kind, doubt in by_kind.items():
+        log[kind] = log[kind] | {"doubt": doubt}
     if of_log:
         log["doubt"] = "; ".join(of_log)
     draft.doubts = (*by_kind.values(), *of_log)

@@ -87,9 +87,6 @@ def uniform_lines(lines: Sequence[str], parse: Callable[[str], ParsedLine | None
     return TextForm(rows=rows, names={"": names}, title=f"{title}{kind}{listed}")
 
 
-# -------------------- lines of one form --------------------
-
-
 def sentence(line: str) -> ParsedLine | None:
     """Parse a sentence with a checksum, `$VNYMR,…*6D`; None if damaged."""
     match = _PATTERN["sentence"].fullmatch(line)
@@ -143,8 +140,6 @@ def row_before_semicolon(line: str) -> ParsedLine | None:
     """Parse a row that ends with a semicolon, which does not separate its values."""
     return ("", (), [line.rstrip("; \t")]) if line.count(";") == 1 and line.rstrip().endswith(";") else None
 
-
-# -------------------- names before the values --------------------
 
 _FEWEST_NAMES = 6  # of a sample of several lines
 _TIME = "time"
@@ -222,9 +217,6 @@ def _samples(lines: Iterable[str]) -> Iterator[tuple[dict[str, str], int]]:
         count += bool(values)
 
 
-# -------------------- marks between thousands --------------------
-
-
 def thousands(lines: Sequence[str]) -> TextForm | None:
     """Return the form of numbers with marks between their thousands, 1'000 or "1,000"."""
 
@@ -238,8 +230,6 @@ def thousands(lines: Sequence[str]) -> TextForm | None:
     title = "marks between thousands, as in 1'000"
     return TextForm(rows=lambda lines: (("", [plain(line)]) for line in lines), title=title)
 
-
-# -------------------- a line for each sensor --------------------
 
 _UNNAMED = ("time", "x", "y", "z")
 
@@ -282,9 +272,6 @@ def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
                 yield word, [cell.replace(",", ".") for cell in cells]
 
     return TextForm(rows=rows_of, names=dict.fromkeys(words, names))
-
-
-# -------------------- copies --------------------
 
 
 def form_of(lines: Sequence[str]) -> TextForm | None:

@@ -93,9 +93,6 @@ SHORTEST_REST = 0.6  # s, at the median
 _TABLE_NOISE = 0.015  # m/s² in a mean over a second; a hand or a running machine has more
 
 
-# -------------------- evidence of rests and turns --------------------
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
     """Length of gravity, readings at rest and turns of a recording, in raw numbers, with durations counted at `rate`.
@@ -312,9 +309,6 @@ def _turns(
     return turns[:MOST_TURNS]
 
 
-# -------------------- cost --------------------
-
-
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Hypothesis:
     """Scales and times of a log, and their cost. `profile` is the likelihood of the turns; None without turns."""
@@ -376,10 +370,7 @@ def ranked_hypotheses(evidence: Evidence, draft: Draft) -> list[Hypothesis]:
 
 
 def _gyro_trials(
-    draft: Draft,
-    evidence: Evidence,
-    gyros: list[tuple[SensorScale, float]],
-    profile: TurnLikelihood | None,
+    draft: Draft, evidence: Evidence, gyros: list[tuple[SensorScale, float]], profile: TurnLikelihood | None
 ) -> Iterator[tuple[Times, SensorScale | None, float]]:
     """Yield times and gyro scales with the cost of turns, readings and assumptions.
 

@@ -221,8 +221,6 @@ def nanoseconds_column(log: ForeignLog) -> str | None:
     return next((n for n in log.names if nano.search(n) and nano.sub("", n) == log.columns.time), None)
 
 
-# -------------------- 16-bit numbers read as unsigned --------------------
-
 _SIGN, _WRAP = 32768.0, 65536.0  # of 16-bit numbers
 _NEGATIVE_SHARE, _MIDDLE_SHARE = 1e-3, 0.02  # least share of numbers at the upper end, and less than this in the middle
 
@@ -240,8 +238,6 @@ def with_signs(columns: Array) -> Array:
     """Return columns, of the readings of one kind of sensor, with their signs if they were read as unsigned."""
     return np.where(columns >= _SIGN, columns - _WRAP, columns) if _are_unsigned(columns) else columns
 
-
-# -------------------- integers that stand for no reading --------------------
 
 _UNLED = 2.0  # steps to a limit over the largest other step; at most 1.1 in turns of up to 80 times the range
 
@@ -293,9 +289,6 @@ def _mend_readings(log: ForeignLog) -> list[Repair]:
         found = f"{'; '.join(marked)}, to which no other readings lead"
         remarks.append(f"{found}, stand for no reading: lost samples")
     return [("; ".join(remarks), mended)] if remarks else []
-
-
-# -------------------- positions without turns between them --------------------
 
 
 def _successive_positions(log: ForeignLog) -> tuple[list[tuple[int, int]] | None, str]:

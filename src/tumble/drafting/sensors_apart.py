@@ -78,8 +78,6 @@ def log_of_recording(
     return ForeignLog(files=(log,), columns=columns, remarks=tuple(remarks), doubts=doubts), imu
 
 
-# -------------------- several devices in a table --------------------
-
 _MOST_DEVICES = 8
 _WINDOWS, _FILLED_SHARE = 20, 0.9
 """Windows of a recording, and the least share of them in which a device has half its usual rows or more."""
@@ -117,9 +115,9 @@ def _with_choice(log: ForeignLog, several: str, names: Sequence[str], taken: str
 def of_one_device(log: ForeignLog, name: str | None) -> ForeignLog:
     """Return the log with the rows of one device if a column of few whole numbers separates several.
 
-    `name` is that of a device, by default the first. Each device has rows all the time, other than the values of a
-    label or a state. A column without a name that says so separates devices only if
-    their stamps are even by themselves, and not together."""
+    `name` is that of a device, by default the first. Each device has rows throughout the log, unlike the values of a
+    label or a state. A column that is not named as one of devices separates them only if the stamps of each device are
+    even, and those of all together are not."""
     named = log.columns
     taken = {named.time, *named.times, *named.temperatures, *named.sensors}
     free = [column for column in log.numeric if column not in taken]
@@ -148,9 +146,6 @@ def of_one_device(log: ForeignLog, name: str | None) -> ForeignLog:
         log = _with_choice(log, f"several devices by column {column!r}", names, name or names[0])
         return replace(log, instance={column: float(values[names.index(name or names[0])])})
     return log
-
-
-# -------------------- files of one kind of sensor each --------------------
 
 
 def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:

@@ -327,7 +327,8 @@ def within_group(parameter: str) -> str:
 
 def variable_of(parameter: str) -> Variable | None:
     """Return the variable of a parameter or group that is a change, else None."""
-    return getattr(named_group(group_name(parameter)), "variable", None)
+    group = named_group(group_name(parameter))
+    return None if group is None else group.variable
 
 
 def group_of(parameter: str) -> ParameterGroup:

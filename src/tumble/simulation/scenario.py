@@ -198,8 +198,6 @@ def _attitudes(setup: Setup, rng: np.random.Generator) -> tuple[tuple[int, ...],
     return tuple(order.tolist()), table @ nominal @ mounting, programme.moves
 
 
-# -------------------- checks --------------------
-
 MOST_POSITIONS = 100_000  # by hand
 
 
