@@ -48,6 +48,7 @@ Frame = Literal["accelerometer", "case", "paper", "symmetric"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 _UPPER = ((0, 1), (0, 2), (1, 2))
+_UPPER_INDEX = tuple(zip(*_UPPER, strict=True))
 _UPPER_PAIRS = ("xy", "xz", "yz")
 
 
@@ -127,11 +128,12 @@ class Convention:
         k, angles = 1.0 + values[3:6], values[6:]
         if self.frame == "paper":
             rows = np.eye(3, dtype=values.dtype)
-            rows[tuple(zip(*_UPPER, strict=True))] = angles
+            rows[_UPPER_INDEX] = angles
             rows *= k[:, None]
         else:  # the symmetric matrix whose rows have the lengths 1 + k and the angles xy, xz, yz of Eq. (1)
-            (xy, xz, yz), rows = angles, np.zeros((3, 3), dtype=values.dtype)
-            rows[0, 1], rows[0, 2], rows[1, 2] = k[0] * np.sin(xy), k[0] * np.cos(xy) * np.sin(xz), k[1] * np.sin(yz)
+            xy, xz, yz = angles
+            rows = np.zeros((3, 3), dtype=values.dtype)
+            rows[_UPPER_INDEX] = k[0] * np.sin(xy), k[0] * np.cos(xy) * np.sin(xz), k[1] * np.sin(yz)
             rows += rows.T
             rows += np.diag(np.sqrt(k**2 - (rows**2).sum(axis=1)))
         bias = self.block.axes @ values[:3] * self.block.axes.sum(axis=1)
