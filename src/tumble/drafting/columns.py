@@ -83,13 +83,10 @@ def identify_log(files: Sequence[Path], folder: OutputFolder, given: Given = NOT
         logs = [replace(first.with_columns(time=time), files=tuple(file for log in logs for file in log.files))]
     logs = [_with_time(_with_gravity(log)) if log in named else log for log in logs]
     logs = [_with_columns_by_data(log) for log in logs]
-
-    def form(log: ForeignLog) -> tuple[object, ...]:
-        return log.dialect, log.columns.triads, log.columns.time, log.instance
-
     first = logs[0]
-    for log in logs[1:]:
-        if form(log) != form(first):
+    forms = [(log.dialect, log.columns.triads, log.columns.time, log.instance) for log in logs]
+    for log, form in zip(logs, forms, strict=True):
+        if form != forms[0]:
             raise InputError(
                 f"{log.files[0]}: expected a log written as {first.files[0].name} is, found another; give them to "
                 "sessions of their own"
@@ -127,7 +124,7 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
     filled = {name: [cell for cell in column if cell.strip()] for name, column in cells.items()}
     numbers = {name for name, column in filled.items() if any(dialect.is_number(c) or is_clock(c) for c in column)}
-    text = {name for name, column in filled.items() if column} - numbers
+    words = {name for name, column in filled.items() if column} - numbers
     how = [f"{_DELIMITER_WORDS[dialect.delimiter]} between the values"]
     how += ["decimal commas"] if dialect.decimal == "," else []
     how += [dialect.encoding] if dialect.encoding != "utf-8" else []
@@ -136,7 +133,7 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     plain = dialect == Dialect() and top.lines == 1 and "".join(file.suffixes[-2:]).lower().endswith(ENDINGS)
     log = ForeignLog(
         files=(file,),
-        columns=columns_by_name([name for name in top.names if name not in text]),
+        columns=columns_by_name([name for name in top.names if name not in words]),
         preamble=top.preamble,
         cells=cells,
         remarks=() if plain else (f"text: {', '.join(how)}",),

@@ -117,15 +117,16 @@ def times_of_column(stamps: Stamps) -> Times | None:
         return None
     fault = _fault_of_stamps(steps / typical)
     regular = fault is not None and _rows_are_equally_spaced(values)
-    slope, near = typical, np.abs(steps - typical) <= _NEAR_TYPICAL * typical
-    if fault is None and near.any():
-        slope = float(steps[near].mean())
+    interval = typical
+    near = np.abs(steps - typical) <= _NEAR_TYPICAL * typical
     if regular:
-        slope = float(np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1])
+        interval = float(np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1])
+    elif fault is None and near.any():
+        interval = float(steps[near].mean())
     trials = []
     for unit, cost in units.items():
-        one = 1.0 if stamps.clock else TIME_UNITS[unit]
-        rate, nominal = 1.0 / (slope * one), 1.0 / (typical * one)
+        seconds = 1.0 if stamps.clock else TIME_UNITS[unit]
+        rate, nominal = 1.0 / (interval * seconds), 1.0 / (typical * seconds)
         keys: dict[str, Any] = {"time": stamps.column}
         if stamps.clock or unit != "s":
             keys["time_unit"] = "iso8601" if stamps.clock else unit

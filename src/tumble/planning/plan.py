@@ -410,26 +410,29 @@ def _paper_requirement(planned: PlannedGroup, wanted: float, errors: PassErrors)
     from scipy.optimize import brentq
 
     group, setup = planned.group, errors.setup
-
-    def by_deviations(scale: float) -> float:
-        return sum(errors.of_group(group, errors.methodical(planned.iteration, scale)).values())
-
     noise = errors.of_group(group, errors.noise)
-    rest_noise = setup.rest * sum(noise.pop(name) for name in REST_NOISE)
-    fixed = errors.of_group(group, errors.methodical(planned.iteration, 0.0)) | noise
-    least, floor = sum(fixed.values()), by_deviations(0.0)
-    free = wanted**2 - least
+    rest_noise = setup.rest * sum(noise.pop(name) for name in REST_NOISE)  # n²
+    exact_table = errors.of_group(group, errors.methodical(planned.iteration, 0.0))
+    of_exact_table = sum(exact_table.values())
+    fixed = exact_table | noise
+    fixed_variance = sum(fixed.values())  # f²
+
+    def by_table(scale: float) -> float:  # d(s)²
+        return sum(errors.of_group(group, errors.methodical(planned.iteration, scale)).values()) - of_exact_table
+
+    free = wanted**2 - fixed_variance
     row = Requirement(group=group, unit=planned.unit, wanted=wanted, u=planned.u)
     if free <= 0.0:
         cause = max(fixed, key=lambda name: fixed[name])
         remedy = _REMEDY.get(cause, "take another pass or method")
-        return _impossible(row, math.sqrt(least), f"an exact table and endless rests leave (mostly {cause})", remedy)
-    permitted = (1.0 - REST_SHARE) * free if rest_noise > 0.0 else free
+        how = f"an exact table and endless rests leave (mostly {cause})"
+        return _impossible(row, math.sqrt(fixed_variance), how, remedy)
     rest = max(rest_noise / (REST_SHARE * free), least_rest(setup))
+    permitted = (1.0 - REST_SHARE) * free if rest_noise > 0.0 else free
     largest = max(largest_errors(setup)) / max(setup.table_error, setup.mounting_error)
-    by_table = min(by_deviations(largest) - floor, permitted)
-    row = replace(row, rest=rest, reached=math.sqrt(least + rest_noise / rest + by_table))
-    if by_table < permitted:
+    reached = min(by_table(largest), permitted)
+    row = replace(row, rest=rest, reached=math.sqrt(fixed_variance + rest_noise / rest + reached))
+    if reached < permitted:
         return row
-    scale = float(brentq(lambda x: by_deviations(x) - floor - permitted, 0.0, largest, rtol=1e-9))
+    scale = float(brentq(lambda scale: by_table(scale) - permitted, 0.0, largest, rtol=1e-9))
     return replace(row, table_error=scale * setup.table_error, mounting_error=scale * setup.mounting_error)

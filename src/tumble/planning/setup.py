@@ -21,7 +21,7 @@ from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.earth import normal_gravity
 from tumble.errors import InputError
-from tumble.programme.positions import Programme, duration
+from tumble.programme.positions import Programme, timetable
 from tumble.programme.positions import programme as built_in
 from tumble.recording.session import USUAL_CLOCK_U
 from tumble.sensors.grades import GRADES, NoiseModel, Spread, Spreads
@@ -148,8 +148,8 @@ class Setup(Spreads, Brief):
 
 
 def time_of(programme: Programme, setup: Setup) -> float:
-    """Return the duration of a programme on the table of a set-up, s."""
-    return duration(programme, rest=setup.rest, rate=setup.turn_rate, move=usual_setup.MOVE)
+    """Return the duration of a programme on the table of a set-up, s, to the end of its last rest."""
+    return float(timetable(programme, rest=setup.rest, rate=setup.turn_rate, move=usual_setup.MOVE)[-1, 1])
 
 
 def with_all_groups(setup: Setup) -> Setup:

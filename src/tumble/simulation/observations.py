@@ -40,7 +40,7 @@ from tumble.reduction.turns.turns import (
 from tumble.rotation import UP, onto_body, rotation_matrix, skew
 from tumble.sensors.parameters import prior_sizes
 from tumble.simulation.scenario import Scenario, itinerary
-from tumble.simulation.sensors import NODES, WEIGHTS, InRunBias, SimulatedBlock, turning, waves
+from tumble.simulation.sensors import NODES, WEIGHTS, InRunBias, SimulatedBlock, harmonic_coefficients, harmonics
 from tumble.units import Array
 
 SAMPLES = 256  # of a turn
@@ -222,7 +222,8 @@ def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array, d
     angle, earth_norm = np.linalg.norm(vector, axis=1), float(np.linalg.norm(earth))
     axis = vector / np.where(angle > 0.0, angle, 1.0)[:, None]
     t = (np.arange(SAMPLES + AHEAD)[:, None] - AHEAD + NODES) * (T / SAMPLES)[:, None, None] - delay
-    by_earth, by_turn = waves(-earth_norm * t), waves((angle / T)[:, None, None] * t)
+    by_earth, by_turn = harmonics(-earth_norm * t), harmonics((angle / T)[:, None, None] * t)
     mean = np.einsum("ksnp,ksnq,n->kspq", by_earth, by_turn, WEIGHTS)
-    parts = turning(axis[:, None], turning(earth / earth_norm, UP) @ start)  # in the body, by earth and turn
-    return np.asarray(mean.reshape(*t.shape[:2], 9) @ parts.reshape(-1, 9, 3))
+    at_start = harmonic_coefficients(earth / earth_norm, UP) @ start  # in the body
+    coefficients = harmonic_coefficients(axis[:, None], at_start)
+    return np.asarray(mean.reshape(*t.shape[:2], 9) @ coefficients.reshape(-1, 9, 3))

@@ -28,7 +28,7 @@ from tumble.planning.itinerary import Itinerary
 from tumble.rotation import UP, skew
 from tumble.sensors.model import Block
 from tumble.simulation.scenario import Scenario, itinerary
-from tumble.simulation.sensors import NODES, WEIGHTS, SimulatedBlock, turning, waves
+from tumble.simulation.sensors import NODES, WEIGHTS, SimulatedBlock, harmonic_coefficients, harmonics
 from tumble.units import Array
 
 _PANELS_PER_CYCLE = 4.0
@@ -152,8 +152,8 @@ def _in_move(
     if vibration.amplitude > 0.0:
         seconds = (first + nodes - delay * fs) / fs
         vertical += vibration.amplitude * np.sin(2.0 * np.pi * vibration.frequency * seconds)
-    earth_b, axis_b = waves(theta) @ turning(n, earth) @ L, n @ L
-    force = vertical[..., None] * waves(theta) @ turning(n, UP) @ L
+    earth_b, axis_b = harmonics(theta) @ harmonic_coefficients(n, earth) @ L, n @ L
+    force = vertical[..., None] * harmonics(theta) @ harmonic_coefficients(n, UP) @ L
     changes = change * axis_b - rate * np.cross(axis_b, earth_b)
     force, rates, changes = (each.reshape(-1, 3) for each in (force, earth_b + rate * axis_b, changes))
     readings = sensors.read(_with_levers(sensors, force, rates, changes), rates, (first + nodes).ravel() / fs)

@@ -181,9 +181,7 @@ def draw_lags(spreads: Mapping[str, float], rng: np.random.Generator) -> dict[st
 def truth_at(
     truth: Mapping[str, float], celsius: float | None, reference_of: Callable[[str], float] | None = None
 ) -> dict[str, float]:
-    """Return true values at another reference temperature, °C, or each at the one that `reference_of` has for its name.
-
-    Without temperatures they are unchanged."""
+    """Return true values at another reference temperature, °C, or each at that of `reference_of`; None changes none."""
     if REFERENCE_NAME not in truth or celsius is None:
         return dict(truth)
     names = list(truth)
