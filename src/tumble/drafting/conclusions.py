@@ -81,28 +81,29 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> It
         if abs(length - 1.0) > _GRAVITY_TOLERANCE:
             reading = f"the accelerometers read {length:.3g} g at rest in {unit}, as their names say"
             yield f"{reading}: if another unit is right, state --accel-unit; without gravity none is calibrated"
-    elif not (evidence.whole[ACCEL] or unit == "V") and (
-        not best.accel.listed or abs(evidence.length / best.accel.reading(best.times.rate) - 1.0) > _GRAVITY_TOLERANCE
-    ):
-        if NAMED["without_gravity"].search(columns[0]):
-            raise linear_acceleration(draft.files[0], columns)
-        by_names = GYRO in draft.triads and not (draft.given.accel or draft.given.gyro)
-        if by_names and evidence.rests >= _FEWEST_FOR_GRAVITY and like_gravity(evidence.gyro):
-            gyros = draft.triads[GYRO].columns
-            raise InputError(
-                f"{draft.files[0]}: expected gravity in the columns of the accelerometers, found it in those of the "
-                f"gyros ({', '.join(gyros)}), one length in many directions: their names are exchanged; state --accel "
-                f"{','.join(gyros)} --gyro {','.join(columns)}"
-            )
-        finding = "the accelerometers read no whole numbers as counts are, and gravity in no unit"
-        if evidence.rests >= _FEWEST_FOR_GRAVITY and evidence.length_u < _GRAVITY_TOLERANCE:
-            rests = f"rests in several attitudes read {evidence.length:.4g} per g, which is taken for their scale"
-            yield f"{finding}: {rests}"
-        else:
-            yield (
-                f"{finding}: if they are volts, state --accel-unit V; what a filter has left without gravity cannot be "
-                "calibrated"
-            )
+        return
+    length_in_unit = evidence.length / best.accel.reading(best.times.rate) if best.accel.listed else math.inf
+    if evidence.whole[ACCEL] or unit == "V" or abs(length_in_unit - 1.0) <= _GRAVITY_TOLERANCE:
+        return
+    if NAMED["without_gravity"].search(columns[0]):
+        raise linear_acceleration(draft.files[0], columns)
+    by_names = GYRO in draft.triads and not (draft.given.accel or draft.given.gyro)
+    if by_names and evidence.rests >= _FEWEST_FOR_GRAVITY and like_gravity(evidence.gyro):
+        gyros = draft.triads[GYRO].columns
+        raise InputError(
+            f"{draft.files[0]}: expected gravity in the columns of the accelerometers, found it in those of the "
+            f"gyros ({', '.join(gyros)}), one length in many directions: their names are exchanged; state --accel "
+            f"{','.join(gyros)} --gyro {','.join(columns)}"
+        )
+    finding = "the accelerometers read no whole numbers as counts are, and gravity in no unit"
+    if evidence.rests >= _FEWEST_FOR_GRAVITY and evidence.length_u < _GRAVITY_TOLERANCE:
+        rests = f"rests in several attitudes read {evidence.length:.4g} per g, which is taken for their scale"
+        yield f"{finding}: {rests}"
+    else:
+        yield (
+            f"{finding}: if they are volts, state --accel-unit V; what a filter has left without gravity cannot be "
+            "calibrated"
+        )
 
 
 def _doubts_of_scale(best: Hypothesis, evidence: Evidence) -> Iterator[tuple[None, str]]:
@@ -193,7 +194,8 @@ def _measured_gyro_scale(best: Hypothesis, gyro: SensorScale) -> float:
 def _scale_remark(kind: str, scale: SensorScale, evidence: Evidence, best: Hypothesis) -> str:
     """Return a sentence with a nominal and the measured scale."""
     measured = evidence.length if kind == ACCEL else _measured_gyro_scale(best, scale)
-    off, per = f"({math.log(measured / scale.reading(best.times.rate)):+.1%})", COUNTS_PER[kind]
+    per = COUNTS_PER[kind]
+    off = f"({math.log(measured / scale.reading(best.times.rate)):+.1%})"
     if scale.unit is not None:
         return f"{scale.unit} (a guess): one {per} reads {measured:.4g} {off}"
     if scale.listed:

@@ -46,6 +46,10 @@ _FEWEST_NUMBERS = 3
 _LONGEST_LINE = 4096  # characters
 _MOST_SENSORS = 20
 _ALIKE_SHARE = 0.8  # of the first lines
+_FEWEST_NAMES = 6  # of a sample of several lines
+_TIME = "time"
+_QUANTITIES = ("velocity", "acceleration", "rate", "field")  # names that the word before them completes
+_UNNAMED = ("time", "x", "y", "z")  # of the columns behind the name of a sensor
 
 
 ParsedLine = tuple[str, tuple[str, ...], Sequence[str]]
@@ -141,11 +145,6 @@ def row_before_semicolon(line: str) -> ParsedLine | None:
     return ("", (), [line.rstrip("; \t")]) if line.count(";") == 1 and line.rstrip().endswith(";") else None
 
 
-_FEWEST_NAMES = 6  # of a sample of several lines
-_TIME = "time"
-_QUANTITIES = ("velocity", "acceleration", "rate", "field")
-
-
 def named_values(line: str) -> ParsedLine | None:
     """Parse a line of names, each followed by its number or its three numbers."""
     values = values_by_name(line)
@@ -229,9 +228,6 @@ def thousands(lines: Sequence[str]) -> TextForm | None:
         return None
     title = "marks between thousands, as in 1'000"
     return TextForm(rows=lambda lines: (("", [plain(line)]) for line in lines), title=title)
-
-
-_UNNAMED = ("time", "x", "y", "z")
 
 
 def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:

@@ -398,9 +398,9 @@ def _gyro_trials(
                 cost += _cost_of_readings(evidence, scale, times.rate, widths)
             yield times, scale, cost
         if nominal is not None and draft.times.stamped and draft.unit(GYRO) == gyro.unit is not None:
-            for others in (o for o in CANDIDATES[GYRO] if o.unit not in (None, gyro.unit) and not o.increment):
-                cost = nominal.at(math.log(others.reading(draft.rate) * draft.rate / DEGREE))
-                cost += _cost_of_readings(evidence, others, draft.rate, widths)
+            for other in (o for o in CANDIDATES[GYRO] if o.unit not in (None, gyro.unit) and not o.increment):
+                cost = nominal.at(math.log(other.reading(draft.rate) * draft.rate / DEGREE))
+                cost += _cost_of_readings(evidence, other, draft.rate, widths)
                 yield draft.times, gyro, cost - 2.0 * math.log(widths.named_wrongly)
 
 

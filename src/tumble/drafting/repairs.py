@@ -32,6 +32,10 @@ _FEWEST_ROWS = 50
 _POSITION_JUMP = 0.2  # of gravity
 _STILL_SHARE = 0.01  # of a jump: rows of a position drift less, those of a turn more
 _NOISE_SIGMAS = 5.0  # of the noise in a drift
+_SIGN, _WRAP = 32768.0, 65536.0  # of 16-bit numbers
+_NEGATIVE_SHARE = 1e-3  # least share of numbers at the upper end, if 16-bit numbers were read as unsigned
+_MIDDLE_SHARE = 0.02  # largest share of numbers in the middle, if so
+_UNLED = 2.0  # steps to a limit over the largest other step; at most 1.1 in turns of up to 80 times the range
 
 Repair = tuple[str, Callable[[pl.DataFrame], pl.DataFrame]]
 """A remark on a change of the rows of a file, and the change."""
@@ -221,10 +225,6 @@ def nanoseconds_column(log: ForeignLog) -> str | None:
     return next((n for n in log.names if nano.search(n) and nano.sub("", n) == log.columns.time), None)
 
 
-_SIGN, _WRAP = 32768.0, 65536.0  # of 16-bit numbers
-_NEGATIVE_SHARE, _MIDDLE_SHARE = 1e-3, 0.02  # least share of numbers at the upper end, and less than this in the middle
-
-
 def _are_unsigned(columns: Array) -> bool:
     """Return whether integers are signed 16-bit numbers read as unsigned: at both ends, hardly any in the middle."""
     numbers = columns[np.isfinite(columns)]
@@ -237,9 +237,6 @@ def _are_unsigned(columns: Array) -> bool:
 def with_signs(columns: Array) -> Array:
     """Return columns, of the readings of one kind of sensor, with their signs if they were read as unsigned."""
     return np.where(columns >= _SIGN, columns - _WRAP, columns) if _are_unsigned(columns) else columns
-
-
-_UNLED = 2.0  # steps to a limit over the largest other step; at most 1.1 in turns of up to 80 times the range
 
 
 def stand_for_none(columns: Array) -> BoolArray:
