@@ -143,7 +143,8 @@ class Compensator:
             K = np.zeros((0, FUNCTIONS))
             if block is not None and model is not None:
                 K = instrument.coefficients(block, further).copy()
-                K[:, measured_by(block)], K[:, CONSTANT] = model.matrix, K[:, CONSTANT] + model.bias
+                K[:, measured_by(block)] = model.matrix
+                K[:, CONSTANT] += model.bias
             coefficients.append(K)
         return Compensator(
             accel=accel,

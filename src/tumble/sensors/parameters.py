@@ -53,6 +53,7 @@ PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # k and l of the produ
 Terms = Literal["full", "linear"]
 """Parameters of an instrument: all groups of the table, or only bias, scale factor and axis angles."""
 Motion = Literal["lever", "delay", "single delay"]
+"""Effect on turns of a group of parameters that has none on rests."""
 Variable = Literal["time", "temperature", "temperature²", "temperature³", "hysteresis", "launch", "lag"]
 """Variable that a change of a parameter is proportional to: time from the mean of a session's rests, s; temperature
 from the reference, K, its square and cube; the direction of temperature change, −1 … 1; the session. A lag shifts the
