@@ -239,9 +239,10 @@ def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float
     """Estimate gravity and the zero of accelerometers from mean readings (N, 3) at rest.
 
     Returns the raw numbers for one g with their relative standard uncertainty, the zero of each sensor to five digits,
-    and the readings (N, 3) relative to the zero. The zero is the centre of the sphere through the readings, or exactly
-    0 or the middle of a converter if the centre is near one of these or undetermined. The length solves |m − c| = r by
-    least squares, with a prior for the offsets from a known zero, so that few rests do not shift it far."""
+    and the readings (N, 3) relative to the estimated centre. The zero is that of the raw numbers: 0 or the middle of a
+    converter if the centre of the sphere through the readings is near one of these, 0 if it is undetermined, else this
+    centre. The length r is that of least squares, |m − c| = r for every reading m, with a prior of c about the zero, so
+    that few rests do not shift it far."""
     length = float(np.median(np.linalg.norm(means, axis=1)))
     zero, offset = np.zeros(3), widths.offset
     if len(means) >= 4 and _determine_centre(means, length):
@@ -259,7 +260,7 @@ def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float
     length = float(np.median(np.linalg.norm(means - zero, axis=1)))
     for _ in range(_CENTRE_STEPS if length > 0.0 else 0):
         readings = means - centre
-        # of the step of the centre, relative to the length, and of ln r: |m − c| = r, and a prior of the centre
+        # unknowns are the step of the centre and the growth of r, both over r; rows are |m − c| = r and the prior of c
         by_reading = np.column_stack([unit_vector(readings), np.ones(len(readings))]) / _UNEVEN
         residuals = (np.linalg.norm(readings, axis=1) / length - 1.0) / _UNEVEN
         inverse = np.linalg.pinv(np.vstack([by_reading, np.eye(4)[:3] / offset]))

@@ -173,7 +173,7 @@ def _bound_of_course(course: Itinerary | Motion, setup: Setup, *, gyros: bool, t
 
 
 def _mean(bounds: list[Bound]) -> Bound:
-    """Return the mean of bounds."""
+    """Return the mean of bounds of one instrument, with the undetermined combinations of the first."""
     return replace(
         bounds[0],
         covariance=np.mean([each.covariance for each in bounds], axis=0),

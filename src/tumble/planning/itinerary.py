@@ -6,8 +6,8 @@ its duration of T s, the attitude L₀ at its start and the Earth's rate Ω,
     ω = v/T,   C(t) = exp([ω×]t),   f(t) = g C(t)ᵀ L₀ᵀ exp([Ω×]t) e_U
 
 A recording without rests is of a device on a pivot or in the hand (`Motion`). It turns at RATE about an axis that
-changes within AXIS_TIME, and is displaced as usual there. The rows are those of the links from node to node
-(`tumble.reduction.turns.links`). Expected uncertainties are means over COURSES random motions.
+changes within AXIS_TIME, and moves by DISPLACEMENTS. The rows are those of the links from node to node, Eq. (41) of
+docs/explanation/mathematics.md. Expected uncertainties are means over COURSES random motions.
 """
 
 from __future__ import annotations
