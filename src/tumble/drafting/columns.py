@@ -147,7 +147,7 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
     """Identify sensors by their numbers where names do not identify them.
 
     Accelerometers and gyros are sought among columns whose names do not exclude it. If accelerometers are named, gyros
-    with a name that does not tell them are taken only if they turn the accelerometers' vector."""
+    are taken from columns with other names only if they turn the vector of the accelerometers."""
     named, names = log.columns, list(log.names)
     accel = named.triads[ACCEL].columns if ACCEL in named.triads else ()
     taken = {*named.sensors, named.time}
@@ -163,19 +163,19 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
     table = np.full((len(numbers), len(names)), np.nan)
     table[:, [names.index(name) for name in (*accel, *free)]] = numbers
     by_data = columns_by_data(names, table)
-    found = GYRO in by_data.triads and set(by_data.triads[ACCEL].columns) == set(accel)
-    if accel and not (found and (by_data.turning or set(by_data.triads[GYRO].columns) <= set(nameless))):
+    triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in by_data.triads.items()}
+    remarks = guess_remarks(by_data, named.triads)
+    if accel:
+        has_gyros = GYRO in triads and set(triads[ACCEL].columns) == set(accel)
+        if has_gyros and (by_data.turning or set(triads[GYRO].columns) <= set(nameless)):
+            return log.with_columns(remarks, triads={**triads, **named.triads})
         if len(nameless) < 3:
             return log
         unused = f"columns without names, {', '.join(nameless)}, are not used"
         doubt = f"{unused}: the accelerometers alone are calibrated; state --gyro if some are gyros"
         return replace(log, doubts=(doubt,))
-    if ACCEL not in by_data.triads:
+    if ACCEL not in triads:
         return log
-    triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in by_data.triads.items()}
-    remarks = guess_remarks(by_data, named.triads)
-    if accel:
-        return log.with_columns(remarks, triads={**triads, **named.triads})
     doubt = (
         "columns were identified by their numbers, and others would fit too: all values depend on this; state --accel, "
         "--gyro"
