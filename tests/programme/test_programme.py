@@ -19,7 +19,6 @@ from tumble.programme.positions import (
     Move,
     Programme,
     attitude,
-    duration,
     from_attitudes,
     programme,
     timetable,
@@ -248,7 +247,7 @@ def test_rough_table_takes_twenty_minutes_at_rests_of_a_minute() -> None:
     """15 rests of 60 s, nine turns by 180° at 10°/s, five other moves of 30 s."""
     made = programme("rough-table")
     asked = {"rest": 60.0, "rate": 10.0 * DEGREE, "move": 30.0}
-    assert duration(made, **asked) == pytest.approx(15 * 60 + 9 * 18 + 5 * 30, rel=1e-12)
+    assert timetable(made, **asked)[-1, 1] == pytest.approx(15 * 60 + 9 * 18 + 5 * 30, rel=1e-12)
     starts = [0, 78, 156, 234, 324, 402, 480, 558, 648, 726, 804, 882, 972, 1062, 1152]
     np.testing.assert_allclose(timetable(made, **asked), [[s, s + 60] for s in starts], rtol=1e-12)
 
@@ -266,7 +265,8 @@ def test_a_programme_takes_as_long_as_its_rests_turns_and_moves(
     listed = from_attitudes(["NUE"] * (len(angles) + 1))
     made = Programme(name="made", positions=listed.positions, moves=moves, ordered=True)
     moving = sum(move if a is None else abs(a) / rate for a in angles)
-    assert duration(made, rest=rest, rate=rate, move=move) == pytest.approx((len(angles) + 1) * rest + moving, rel=1e-9)
+    stop = timetable(made, rest=rest, rate=rate, move=move)[-1, 1]
+    assert stop == pytest.approx((len(angles) + 1) * rest + moving, rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -280,7 +280,7 @@ def test_a_programme_takes_as_long_as_its_rests_turns_and_moves(
 )
 def test_an_impossible_pace_is_one_line(asked: dict[str, float], said: str) -> None:
     with pytest.raises(ProgrammeError) as caught:
-        duration(programme("nine"), **({"rest": 60.0, "rate": 0.2, "move": 30.0} | asked))
+        timetable(programme("nine"), **({"rest": 60.0, "rate": 0.2, "move": 30.0} | asked))
     assert str(caught.value) == said
 
 

@@ -47,45 +47,46 @@ def identify_log(files: Sequence[Path], folder: OutputFolder, given: Given = NOT
     enough to recognise sensors. Raises InputError for files that are no logs, or are in different dialects."""
     logs: list[ForeignLog] = []
     errors: list[NoLogError] = []
-    omitted: tuple[str, ...] = ()
-    # text without rows, such as the metadata of a phone, is left out
+    omitted: list[str] = []
     for file in files:
         try:
-            read = _logs_in(file, folder)
-            read = read if given.accel else [of_one_group(log, given.message) for log in read]
-            logs += [log.with_stated(given) for log in read]
-        except NoLogError as error:
+            logs_in_file = _logs_in(file, folder)
+            if not given.accel:
+                logs_in_file = [of_one_group(log, given.message) for log in logs_in_file]
+            logs += [log.with_stated(given) for log in logs_in_file]
+        except NoLogError as error:  # text without rows, such as the metadata of a phone
             errors.append(error)
-            omitted += (f"{file.name} has no rows of readings and is left out",)
+            omitted.append(f"{file.name} has no rows of readings and is left out")
     if not logs:
         raise errors[0]
-    logs = [of_one_device(log, given.message) for log in logs]
-    logs = [_without_empty_thermometers(_with_finest_time(log)) for log in logs]
+    logs = [_with_finest_time(of_one_device(log, given.message)) for log in logs]
+    logs = [_without_empty_thermometers(log) for log in logs]
     parts = _parts_with_own_times(logs[0]) if len(logs) == 1 else []
     if parts or are_sensors_apart(logs):
-        joined, columns = join_sensors(parts or logs, folder), logs[0].columns
-        unused = [
-            *columns.temperatures,
-            *(columns.triads[MAGNETOMETER].columns if MAGNETOMETER in columns.triads else ()),
-        ]
-        omitted += (f"also there, and not used: {', '.join(unused)}",) if parts and unused else ()
+        joined = join_sensors(parts or logs, folder)
+        if parts:
+            unused = list(logs[0].columns.temperatures)
+            if MAGNETOMETER in logs[0].columns.triads:
+                unused += logs[0].columns.triads[MAGNETOMETER].columns
+            omitted += [f"also there, and not used: {', '.join(unused)}"] if unused else []
         return replace(joined, remarks=(*joined.remarks, *omitted))
     named = [log for log in logs if ACCEL in log.columns.triads]
-    without_accel = [log for log in logs if named and log not in named and not log.unnamed]
-    omitted += tuple(f"{log.files[0].name} has no accelerometers and is left out" for log in without_accel)
-    logs = [log for log in logs if log not in without_accel]
     first = logs[0]
-    alike = all(log.cells and (log.dialect, set(log.cells)) == (first.dialect, set(first.cells)) for log in logs)
-    if len(logs) > 1 and not named and alike:
+    if named:
+        without_accel = [log for log in logs if log not in named and not log.unnamed]
+        omitted += [f"{log.files[0].name} has no accelerometers and is left out" for log in without_accel]
+        logs = [log for log in logs if log not in without_accel]
+    elif len(logs) > 1 and all(
+        log.cells and (log.dialect, set(log.cells)) == (first.dialect, set(first.cells)) for log in logs
+    ):  # identified together
         time = first.columns.time or first.time_by_data()
         logs = [replace(first.with_columns(time=time), files=tuple(file for log in logs for file in log.files))]
-    logs = [_with_columns_by_data(_with_time(_with_gravity(log)) if log in named else log) for log in logs]
+    logs = [_with_time(_with_gravity(log)) if log in named else log for log in logs]
+    logs = [_with_columns_by_data(log) for log in logs]
     first = logs[0]
-    for log in logs[1:]:
-        written, first_written = (
-            (each.dialect, each.columns.triads, each.columns.time, each.instance) for each in (log, first)
-        )
-        if written != first_written:
+    forms = [(log.dialect, log.columns.triads, log.columns.time, log.instance) for log in logs]
+    for log, form in zip(logs, forms, strict=True):
+        if form != forms[0]:
             raise InputError(
                 f"{log.files[0]}: expected the format and columns of {first.files[0].name}, found others; make a "
                 "session of each"
@@ -123,7 +124,7 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     cells = {name: [row[j] for row in rows] for j, name in enumerate(top.names) if name}
     filled = {name: [cell for cell in column if cell.strip()] for name, column in cells.items()}
     numbers = {name for name, column in filled.items() if any(dialect.is_number(c) or is_clock(c) for c in column)}
-    text = {name for name, column in filled.items() if column} - numbers
+    words = {name for name, column in filled.items() if column} - numbers
     how = [f"{_DELIMITER_WORDS[dialect.delimiter]} between the values"]
     how += ["decimal commas"] if dialect.decimal == "," else []
     how += [dialect.encoding] if dialect.encoding != "utf-8" else []
@@ -132,7 +133,7 @@ def _logs_in(file: Path, folder: OutputFolder) -> list[ForeignLog]:
     plain = dialect == Dialect() and top.lines == 1 and "".join(file.suffixes[-2:]).lower().endswith(ENDINGS)
     log = ForeignLog(
         files=(file,),
-        columns=columns_by_name([name for name in top.names if name not in text]),
+        columns=columns_by_name([name for name in top.names if name not in words]),
         preamble=top.preamble,
         cells=cells,
         remarks=() if plain else (f"text: {', '.join(how)}",),
@@ -146,7 +147,7 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
     """Identify sensors by their numbers where names do not identify them.
 
     Accelerometers and gyros are sought among columns whose names do not exclude it. If accelerometers are named, gyros
-    with a name that does not tell them are taken only if they turn the accelerometers' vector."""
+    are taken from columns with other names only if they turn the vector of the accelerometers."""
     named, names = log.columns, list(log.names)
     accel = named.triads[ACCEL].columns if ACCEL in named.triads else ()
     taken = {*named.sensors, named.time}
@@ -162,19 +163,19 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
     table = np.full((len(numbers), len(names)), np.nan)
     table[:, [names.index(name) for name in (*accel, *free)]] = numbers
     by_data = columns_by_data(names, table)
-    found = GYRO in by_data.triads and set(by_data.triads[ACCEL].columns) == set(accel)
-    if accel and not (found and (by_data.turning or set(by_data.triads[GYRO].columns) <= set(nameless))):
+    triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in by_data.triads.items()}
+    remarks = guess_remarks(by_data, named.triads)
+    if accel:
+        has_gyros = GYRO in triads and set(triads[ACCEL].columns) == set(accel)
+        if has_gyros and (by_data.turning or set(triads[GYRO].columns) <= set(nameless)):
+            return log.with_columns(remarks, triads={**triads, **named.triads})
         if len(nameless) < 3:
             return log
         unused = f"columns without names, {', '.join(nameless)}, are not used"
         doubt = f"{unused}: the accelerometers alone are calibrated; state --gyro if some are gyros"
         return replace(log, doubts=(doubt,))
-    if ACCEL not in by_data.triads:
+    if ACCEL not in triads:
         return log
-    triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in by_data.triads.items()}
-    remarks = guess_remarks(by_data, named.triads)
-    if accel:
-        return log.with_columns(remarks, triads={**triads, **named.triads})
     doubt = (
         "columns were identified by their numbers, and others would fit too: all values depend on this; state --accel, "
         "--gyro"
@@ -226,13 +227,16 @@ def _without_empty_thermometers(log: ForeignLog) -> ForeignLog:
 
 
 def _parts_with_own_times(log: ForeignLog) -> list[ForeignLog]:
-    """Return a log for each kind of sensor if each kind has its own times: in a column before those of the sensors, or
-    in rows of its own, so that at most each second row has readings of all."""
-    names, numeric = list(log.names), log.numeric
+    """Return a log for each kind of sensor if each kind has its own times, else none.
+
+    These are in a column before those of the sensors, or the rows are of one kind each: at most each second row has
+    readings of both."""
     parts = [log.with_columns(triads={k: log.columns.triads[k]}) for k in (ACCEL, GYRO) if k in log.columns.triads]
-    timed, triads = list[ForeignLog](), [next(iter(part.columns.triads.values())) for part in parts]
-    for part, sensors in zip(parts, triads, strict=True):
-        first = min(map(names.index, sensors.columns))
+    sensors = [part.columns.sensors for part in parts]
+    names, numeric = list(log.names), log.numeric
+    timed = list[ForeignLog]()
+    for part, columns in zip(parts, sensors, strict=True):
+        first = min(map(names.index, columns))
         before = names[first - 1] if first else ""
         stamps = log.read([before])[:, 0] if before in numeric else np.empty(0)
         if grows(stamps) and grows_mostly(stamps):
@@ -242,9 +246,10 @@ def _parts_with_own_times(log: ForeignLog) -> list[ForeignLog]:
         return timed
     if len(parts) < 2 or log.columns.time is None:
         return []
-    read = np.array([np.isfinite(log.read(sensors.columns, rows=HEAD_ROWS)).all(axis=1) for sensors in triads])
-    of_both, of_any = np.count_nonzero(read.all(axis=0)), np.count_nonzero(read.any(axis=0))
-    return parts if 2 * of_both <= of_any + 1 and read.any(axis=1).all() else []
+    read = np.array([np.isfinite(log.read(columns, rows=HEAD_ROWS)).all(axis=1) for columns in sensors])
+    with_both = np.count_nonzero(read.all(axis=0))
+    with_any = np.count_nonzero(read.any(axis=0))
+    return parts if 2 * with_both <= with_any + 1 and read.any(axis=1).all() else []
 
 
 def _with_time(log: ForeignLog) -> ForeignLog:

@@ -41,15 +41,19 @@ def complete_draft(draft: Draft, progress: Progress) -> list[str]:
         if draft.rate_guessed and best.profile is not None:  # the other rates that the turns fit are in u
             rates = [h.times.rate for h in rivals if h.gyro == best.gyro]
             rate_u = max((abs(math.log(rate / best.times.rate)) for rate in rates), default=0.0)
-            log |= {"clock_ppm_u": round(1e6 * min(rate_u, 1.0))} if rate_u > USUAL_RATE_U else {}
+            if rate_u > USUAL_RATE_U:
+                log["clock_ppm_u"] = round(1e6 * min(rate_u, 1.0))
         log[GYRO] = _gyro_table(draft, best, best.gyro, evidence, rivals)
-    of_gravity = _doubts_of_gravity(draft, best, evidence)
-    of_units = [*_doubts_of_units(draft, best, rivals), *_doubts_of_scale(best, evidence)]
-    of_log = (*of_gravity, *(doubt for kind, doubt in of_units if not kind), *draft.doubts)
-    log |= {"doubt": "; ".join(of_log)} if of_log else {}
-    for kind, doubt in of_units:
-        log |= {kind: log[kind] | {"doubt": doubt}} if kind else {}
-    draft.doubts, draft.times = (*(doubt for kind, doubt in of_units if kind), *of_log), best.times
+    doubts = [*_doubts_of_units(draft, best, rivals), *_doubts_of_scale(best, evidence)]
+    by_kind = {kind: doubt for kind, doubt in doubts if kind is not None}
+    of_log = [*_doubts_of_gravity(draft, best, evidence), *(doubt for kind, doubt in doubts if kind is None)]
+    of_log += draft.doubts
+    for kind, doubt in by_kind.items():
+        log[kind] = log[kind] | {"doubt": doubt}
+    if of_log:
+        log["doubt"] = "; ".join(of_log)
+    draft.doubts = (*by_kind.values(), *of_log)
+    draft.times = best.times
     if ACCEL not in draft.triads:
         return []
     try:
@@ -77,55 +81,53 @@ def _doubts_of_gravity(draft: Draft, best: Hypothesis, evidence: Evidence) -> It
         if abs(length - 1.0) > _GRAVITY_TOLERANCE:
             reading = f"the accelerometers read {length:.3g} g at rest in {unit}, as their names say"
             yield f"{reading}: if another unit is right, state --accel-unit; without gravity none is calibrated"
-    elif not (evidence.whole[ACCEL] or unit == "V") and (
-        not best.accel.listed or abs(evidence.length / best.accel.reading(best.times.rate) - 1.0) > _GRAVITY_TOLERANCE
-    ):
-        if NAMED["without_gravity"].search(columns[0]):
-            raise linear_acceleration(draft.files[0], columns)
-        by_names = GYRO in draft.triads and not (draft.given.accel or draft.given.gyro)
-        if by_names and evidence.rests >= _FEWEST_FOR_GRAVITY and like_gravity(evidence.gyro):
-            gyros = draft.triads[GYRO].columns
-            raise InputError(
-                f"{draft.files[0]}: expected gravity in the columns of the accelerometers, found it in those of the "
-                f"gyros ({', '.join(gyros)}), one length in many directions: their names are exchanged; state --accel "
-                f"{','.join(gyros)} --gyro {','.join(columns)}"
-            )
-        finding = "the accelerometers read no whole numbers as counts are, and gravity in no unit"
-        if evidence.rests >= _FEWEST_FOR_GRAVITY and evidence.length_u < _GRAVITY_TOLERANCE:
-            rests = f"rests in several attitudes read {evidence.length:.4g} per g, which is taken for their scale"
-            yield f"{finding}: {rests}"
-        else:
-            yield (
-                f"{finding}: if they are volts, state --accel-unit V; what a filter has left without gravity cannot be "
-                "calibrated"
-            )
+        return
+    length_in_unit = evidence.length / best.accel.reading(best.times.rate) if best.accel.listed else math.inf
+    if evidence.whole[ACCEL] or unit == "V" or abs(length_in_unit - 1.0) <= _GRAVITY_TOLERANCE:
+        return
+    if NAMED["without_gravity"].search(columns[0]):
+        raise linear_acceleration(draft.files[0], columns)
+    by_names = GYRO in draft.triads and not (draft.given.accel or draft.given.gyro)
+    if by_names and evidence.rests >= _FEWEST_FOR_GRAVITY and like_gravity(evidence.gyro):
+        gyros = draft.triads[GYRO].columns
+        raise InputError(
+            f"{draft.files[0]}: expected gravity in the columns of the accelerometers, found it in those of the "
+            f"gyros ({', '.join(gyros)}), one length in many directions: their names are exchanged; state --accel "
+            f"{','.join(gyros)} --gyro {','.join(columns)}"
+        )
+    finding = "the accelerometers read no whole numbers as counts are, and gravity in no unit"
+    if evidence.rests >= _FEWEST_FOR_GRAVITY and evidence.length_u < _GRAVITY_TOLERANCE:
+        rests = f"rests in several attitudes read {evidence.length:.4g} per g, which is taken for their scale"
+        yield f"{finding}: {rests}"
+    else:
+        yield (
+            f"{finding}: if they are volts, state --accel-unit V; what a filter has left without gravity cannot be "
+            "calibrated"
+        )
 
 
-def _doubts_of_scale(best: Hypothesis, evidence: Evidence) -> Iterator[tuple[str, str]]:
+def _doubts_of_scale(best: Hypothesis, evidence: Evidence) -> Iterator[tuple[None, str]]:
     """Yield the doubt about gyros, not in counts, whose turns give a scale of no unit and no data sheet."""
     gyro = best.gyro
     if best.profile is None or gyro is None or gyro.listed or best.accel.unit is None or evidence.whole[GYRO]:
         return
     written = f"; column {best.times.keys['time']!r} is taken as it is written" if best.times.stamped else ""
     yield (
-        "",
+        None,
         f"the gyros carry the vertical only with {gyro.value:.4g} numbers per deg/s, as in no unit and on no data "
         f"sheet{written}: is their unit right? Biases and scale factors are relative to this scale",
     )
 
 
-def _doubts_of_units(draft: Draft, best: Hypothesis, rivals: Sequence[Hypothesis]) -> Iterator[tuple[str, str]]:
+def _doubts_of_units(draft: Draft, best: Hypothesis, rivals: Sequence[Hypothesis]) -> Iterator[tuple[str | None, str]]:
     """Yield doubts about units and the rate, with the consequence of each and the option that settles it.
 
-    A doubt that ends where a recording determines the scale of sensors comes with their kind, others with ""."""
+    A doubt is about sensors of a kind, and settled where a recording determines their scale, or about the log: None."""
     rates = [h.times.rate for h in rivals if "time" in h.differs(best)]
+    only = "the accelerometers alone are calibrated, " if ACCEL in draft.triads else ""
     for kind, sensors, scale in ((ACCEL, "accelerometers", best.accel), (GYRO, "gyros", best.gyro)):
         if scale is None or kind not in draft.triads:
             continue
-        only = "the accelerometers alone are calibrated, " if ACCEL in draft.triads else ""
-        scales = [h.accel if kind == ACCEL else h.gyro for h in rivals if kind in h.differs(best)]
-        labels = dict.fromkeys(rival.label for rival in scales if rival is not None and rival.listed)
-        others = " or ".join(list(labels)[:_MOST_RIVALS])
         unscaled = draft.log[kind]["unit"] == "count" and "scale" not in draft.log[kind]
         if unscaled and draft.rate_guessed and best.profile is not None:
             pairs = [(h.gyro.value, h.times.rate) for h in (best, *rivals) if h.gyro is not None and h.gyro.listed]
@@ -133,20 +135,24 @@ def _doubts_of_units(draft: Draft, best: Hypothesis, rivals: Sequence[Hypothesis
             values = list(dict.fromkeys(value for value, _ in pairs))[:_MOST_RIVALS]
             fitting = ", ".join(f"{value:g} per deg/s at {rate_of[value]:g} Hz" for value in values)
             yield (
-                "",
+                None,
                 f"the rate of the samples is unknown, and with it the scale of the gyros' counts ({fitting} fit): "
                 f"{only}state --sample-rate",
             )
-            return
+            return  # it includes the doubt about the rate
         if unscaled:
             yield (
-                "",
+                None,
                 f"no turn determines the scale of the gyros' counts: {only}noise is given as if a count were 1 deg/s; "
                 "put the scale of the data sheet into [log.gyro]",
             )
-        elif others and draft.unit(kind) is None:
+            continue
+        scales = [h.accel if kind == ACCEL else h.gyro for h in rivals if kind in h.differs(best)]
+        labels = dict.fromkeys(rival.label for rival in scales if rival is not None and rival.listed)
+        others = " or ".join(list(labels)[:_MOST_RIVALS])
+        if others and draft.unit(kind) is None:
             yield (
-                "" if draft.rate_guessed or rates else kind,  # turns determine the product of scale and rate
+                None if draft.rate_guessed or rates else kind,  # turns determine the product of scale and rate
                 f"{sensors} in {scale.label} by a guess, {others} would fit too: all their values depend on it; state "
                 f"--{kind}-unit",
             )
@@ -155,7 +161,7 @@ def _doubts_of_units(draft: Draft, best: Hypothesis, rivals: Sequence[Hypothesis
         others = ", ".join(f"{rate:g}" for rate in list(dict.fromkeys(rates))[:_MOST_RIVALS])
         also = f", {others} would fit too" if rates else ""
         follows = "the gyros' scale factors depend" if best.gyro is not None else "the length of rests depends"
-        yield "", f"{best.times.rate:g} samples per second {how}{also}: {follows} on it; state --sample-rate"
+        yield None, f"{best.times.rate:g} samples per second {how}{also}: {follows} on it; state --sample-rate"
 
 
 def _time_remarks(draft: Draft, best: Hypothesis) -> list[str]:
@@ -188,7 +194,8 @@ def _measured_gyro_scale(best: Hypothesis, gyro: SensorScale) -> float:
 def _scale_remark(kind: str, scale: SensorScale, evidence: Evidence, best: Hypothesis) -> str:
     """Return a sentence with a nominal and the measured scale."""
     measured = evidence.length if kind == ACCEL else _measured_gyro_scale(best, scale)
-    off, per = f"({math.log(measured / scale.reading(best.times.rate)):+.1%})", COUNTS_PER[kind]
+    per = COUNTS_PER[kind]
+    off = f"({math.log(measured / scale.reading(best.times.rate)):+.1%})"
     if scale.unit is not None:
         return f"{scale.unit} (a guess): one {per} reads {measured:.4g} {off}"
     if scale.listed:
@@ -204,8 +211,10 @@ def _raw_table(columns: list[str], scale: float, per: str, zero: Any, unit: str 
 
 def _accel_table(draft: Draft, best: Hypothesis, evidence: Evidence) -> dict[str, Any]:
     """Return the table [log.accel], and add remarks on it."""
-    columns, scale = list(draft.triads[ACCEL].columns), best.accel
-    subject, unit, length = f"accelerometers: {', '.join(columns)}", draft.unit(ACCEL), evidence.length
+    columns = list(draft.triads[ACCEL].columns)
+    unit = draft.unit(ACCEL)
+    scale, length = best.accel, evidence.length
+    subject = f"accelerometers: {', '.join(columns)}"
     if unit is not None and ACCEL_UNITS[unit].kind != "raw":
         draft.say(f"{subject} in {unit} (from the name or the format), magnitude {length:.6g}")
         return {"columns": columns, "unit": unit}
@@ -230,7 +239,8 @@ def _gyro_table(
 ) -> dict[str, Any]:
     """Return the table [log.gyro], and add remarks on it."""
     columns = list(draft.triads[GYRO].columns)
-    subject, table = f"gyros: {', '.join(columns)} in", {"columns": columns, "unit": gyro.unit}
+    subject = f"gyros: {', '.join(columns)} in"
+    table = {"columns": columns, "unit": gyro.unit}
     bias = [float(f"{b:.6g}") for b in evidence.bias]
     if gyro.unit is not None and draft.unit(GYRO) == gyro.unit:
         draft.say(f"{subject} {gyro.unit} (from the name or the format)")

@@ -37,14 +37,14 @@ def files_of(log: Path) -> list[Path]:
     if log.is_dir() and not (log / "metadata.yaml").is_file():
         files = [file for file in log.iterdir() if file.is_file() and not file.name.startswith(".")]
         files = [file for file in files if file.suffix.lower() not in _NO_LOGS]
-        missing = "a folder with logs, found none in it"
+        fault = "expected a folder with logs, found none in it"
     elif pattern:
-        files, missing = list(log.parent.glob(log.name)), "files that fit this pattern, found none"
+        files, fault = list(log.parent.glob(log.name)), "expected files that fit this pattern, found none"
     else:
         check_regular(log)
-        files, missing = [log] if log.exists() else [], "a log, found no such file"
+        files, fault = [log] if log.exists() else [], "expected a log, found no such file"
     if not files:
-        raise InputError(f"{log}: expected {missing}")
+        raise InputError(f"{log}: {fault}")
 
     def natural_order(path: Path) -> list[tuple[int, str]]:
         parts = re.split(r"([0-9]+)", path.name)

@@ -46,6 +46,10 @@ _FEWEST_NUMBERS = 3
 _LONGEST_LINE = 4096  # characters
 _MOST_SENSORS = 20
 _ALIKE_SHARE = 0.8  # of the first lines
+_FEWEST_NAMES = 6  # of a sample of several lines
+_TIME = "time"
+_QUANTITIES = ("velocity", "acceleration", "rate", "field")  # names that the word before them completes
+_UNNAMED = ("time", "x", "y", "z")  # of the columns behind the name of a sensor
 
 
 ParsedLine = tuple[str, tuple[str, ...], Sequence[str]]
@@ -85,9 +89,6 @@ def uniform_lines(lines: Sequence[str], parse: Callable[[str], ParsedLine | None
 
     listed = f" ({', '.join(names)})" if names else ""
     return TextForm(rows=rows, names={"": names}, title=f"{title}{kind}{listed}")
-
-
-# -------------------- lines of one form --------------------
 
 
 def sentence(line: str) -> ParsedLine | None:
@@ -142,13 +143,6 @@ def row_behind_clock(line: str) -> ParsedLine | None:
 def row_before_semicolon(line: str) -> ParsedLine | None:
     """Parse a row that ends with a semicolon, which does not separate its values."""
     return ("", (), [line.rstrip("; \t")]) if line.count(";") == 1 and line.rstrip().endswith(";") else None
-
-
-# -------------------- names before the values --------------------
-
-_FEWEST_NAMES = 6  # of a sample of several lines
-_TIME = "time"
-_QUANTITIES = ("velocity", "acceleration", "rate", "field")
 
 
 def named_values(line: str) -> ParsedLine | None:
@@ -222,9 +216,6 @@ def _samples(lines: Iterable[str]) -> Iterator[tuple[dict[str, str], int]]:
         count += bool(values)
 
 
-# -------------------- marks between thousands --------------------
-
-
 def thousands(lines: Sequence[str]) -> TextForm | None:
     """Return the form of numbers with marks between their thousands, 1'000 or "1,000"."""
 
@@ -237,11 +228,6 @@ def thousands(lines: Sequence[str]) -> TextForm | None:
         return None
     title = "marks between thousands, as in 1'000"
     return TextForm(rows=lambda lines: (("", [plain(line)]) for line in lines), title=title)
-
-
-# -------------------- a line for each sensor --------------------
-
-_UNNAMED = ("time", "x", "y", "z")
 
 
 def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
@@ -282,9 +268,6 @@ def rows_by_sensor(file: Path, start: bytes) -> TextForm | None:
                 yield word, [cell.replace(",", ".") for cell in cells]
 
     return TextForm(rows=rows_of, names=dict.fromkeys(words, names))
-
-
-# -------------------- copies --------------------
 
 
 def form_of(lines: Sequence[str]) -> TextForm | None:

@@ -1,5 +1,4 @@
-"""A log of unknown origin, with its files, their dialect and its columns by kind, statements of the user about it, and
-the draft of a session for it."""
+"""A log of unknown form (`ForeignLog`), statements of the user about it (`Given`), and the draft of its session."""
 
 from __future__ import annotations
 
@@ -114,9 +113,9 @@ NOTHING_GIVEN = Given()
 class ForeignLog:
     """Files in one dialect, with identified columns.
 
-    `preamble` are the lines above the numbers that are neither names nor units, `cells` the first rows by column,
-    `remarks` and `doubts` sentences for the user, `dialect` how a text is written, None for plain CSV files, `instance`
-    the column that separates several devices in the rows, with the value of the one that is read, and `kept` the
+    `preamble`: lines above the numbers that are neither names nor units. `cells`: cells of the first rows by column,
+    empty for Parquet. `remarks`, `doubts`: sentences for the user. `dialect`: None for plain CSV and for Parquet.
+    `instance`: the column that separates several devices in the rows, with the value of the one that is read. `kept`:
     readers already opened, by path."""
 
     files: tuple[Path, ...]
@@ -343,8 +342,8 @@ class ForeignLog:
             "first": ",".join(unknown[:3]),
             "file": name,
         }
-        said = "expected {expected}; found {found}; {remedy}".format(**_REFUSALS[kind]).format(**words)
-        raise (GyrosAloneError if kind == "gyros" else InputError)(f"{self.files[0]}: {said}")
+        message = "expected {expected}; found {found}; {remedy}".format(**_REFUSALS[kind]).format(**words)
+        raise (GyrosAloneError if kind == "gyros" else InputError)(f"{self.files[0]}: {message}")
 
 
 @dataclass(kw_only=True, slots=True)

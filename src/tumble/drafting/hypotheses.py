@@ -64,16 +64,19 @@ from tumble.sensors.model import Block
 from tumble.units import ACCEL_UNITS, DEGREE, G_STANDARD, GYRO_UNITS, Array
 
 _TRIAD = Block(kind="accel", axes=np.eye(3))
-_CLIPPED_RUN, _BELOW_CLIPPING = 3, 0.97  # largest readings in a row; part of the largest reading
-_NO_OFFSET, _LEAST_SINGULAR, _ALIKE = 0.3, 0.05, 0.05  # of gravity; of the largest singular value; of gravity
-_LARGEST_UNEVEN, _LEAST_EXTENT = 0.1, 0.75
-"""Of gravity, for a sphere with any centre: scatter of the lengths, and extent of the readings of each sensor."""
+_CLIPPED_RUN = 3  # largest readings in a row, of a clipped gyro
+_BELOW_CLIPPING = 0.97  # of the largest reading; a clipped gyro rarely reads between this and the largest
+_ALIKE = 0.05  # of gravity: scatter of the readings of rests in one attitude
+_LEAST_SINGULAR = 0.05  # of the largest singular value: readings of attitudes that determine a centre
+_NO_OFFSET = 0.3  # of gravity: a centre nearer to a nominal zero is taken for it
+_LARGEST_UNEVEN = 0.1  # of gravity: scatter of the lengths from any centre
+_LEAST_EXTENT = 0.75  # of gravity: range of the readings of each sensor for any centre
 _LENGTH_IN_MOTION_U = 0.2
 """Relative standard uncertainty of gravity as the median magnitude of accelerometers that are never at rest."""
-_VERTICAL_IN_MOTION, _TURN_IN_MOTION = 0.15, 1.5
-"""Standard deviation of a vertical in motion, rad: 1.5 m/s² of a hand; s between two verticals."""
-_UNEVEN, _CENTRE_STEPS = 0.01, 4
-"""Relative differences of readings of one g between attitudes, without offsets; number of Gauss–Newton steps."""
+_VERTICAL_IN_MOTION = 0.15  # rad, standard deviation of a vertical in motion: 1.5 m/s² of a hand
+_TURN_IN_MOTION = 1.5  # s between two verticals in motion
+_UNEVEN = 0.01  # relative differences of readings of one g between attitudes, without offsets
+_CENTRE_STEPS = 4  # of Gauss–Newton
 _FAST_QUANTILE = 0.99  # of the largest readings of gyros in the first rows, without single outliers
 _TURN_QUANTILE = 0.8  # of the readings in a turn; it represents the middle of the turn
 _RATE_FACTORS = 0.25, 1.0, 4.0
@@ -84,24 +87,23 @@ COUNTS = SensorScale(value=1.0, shares=(1.0, 1.0))
 _PRIOR = SimpleNamespace(**PRIORS["readings"])
 """Standard deviations, shares and costs."""
 _FEWEST_COUNTS = 2.0  # per g, of accelerometers in counts
-_LARGEST_BIAS, _LARGEST_NOISE = 20.0 * DEGREE, 0.17 * DEGREE  # rad/s, of small gyros; noise in a mean over a second
+_LARGEST_BIAS = 20.0 * DEGREE  # rad/s, of small gyros
+_LARGEST_NOISE = 0.17 * DEGREE  # rad/s in a mean over a second, of small gyros
 SHORTEST_REST = 0.6  # s, at the median
 _TABLE_NOISE = 0.015  # m/s² in a mean over a second; a hand or a running machine has more
-
-
-# -------------------- evidence of rests and turns --------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Evidence:
     """Length of gravity, readings at rest and turns of a recording, in raw numbers, with durations counted at `rate`.
 
-    `rate` is in Hz. `length` is that of gravity, `length_u` its relative standard uncertainty, `zero` the offset of the
-    accelerometers; `rests` and `turns` are numbers. Each rest has the readings of the gyros `gyro` (N, 3); `samples` is
-    the median of their numbers of samples. The scatter is that of a sample, for accelerometers relative to gravity.
-    `turning` is the typical reading of the gyros in a turn, `profiles` the likelihoods of the turns, the first with the
-    columns unchanged. Of the first rows, `whole` is True for kinds of sensors that read whole numbers only, `largest`
-    is a large reading of the gyros, and `step` the resolution of a data sheet, °/s, of which they are multiples."""
+    `rate` is in Hz. `length` is the reading of gravity, `length_u` its relative standard uncertainty, `zero` the offset
+    of the accelerometers; `rests` and `turns` are the numbers of both. `gyro` (N, 3) are the readings of the gyros in
+    the rests, `samples` is the median number of samples of a rest. `accel_scatter`, relative to gravity, and
+    `gyro_scatter` are those of a sample. `turning` is the typical reading of the gyros in a turn, `profiles` the
+    likelihoods of the turns, the first with the columns unchanged. From the first rows: `whole`, whether a kind of
+    sensors reads whole numbers only; `largest`, a large reading of the gyros; `step`, the resolution of a data sheet,
+    °/s, of which the gyros read multiples, None for no such."""
 
     rate: float
     length: float
@@ -150,9 +152,11 @@ def gather_evidence(draft: Draft, progress: Progress) -> Evidence:
         largest=float(np.quantile(np.abs(rates).max(axis=1), _FAST_QUANTILE)) if len(rates) else 0.0,
         step=resolution_in_deg_s(head[GYRO]) if GYRO in head and not whole[GYRO] else None,
     )
-    ratio, factors, keys = draft.rate / ASSUMED_RATE, [1.0], dict[str, Any]()
+    keys: dict[str, Any] = {}
+    factors = [1.0]
     if draft.times.rivals:
         keys = {"time": None, "time_unit": None, "regular": None, "rate_hz": ASSUMED_RATE}
+        ratio = draft.rate / ASSUMED_RATE
         nominal = round(min(max(ratio, 0.05), 20.0), 2)
         factors = sorted({*_RATE_FACTORS, nominal}, key=lambda f: abs(np.log(f / ratio)))
     session = draft.session(temperature=None, **keys)
@@ -179,7 +183,8 @@ def _evidence_at(reduction: Reduction, factor: float, unread: Evidence, widths: 
     """Return the evidence with rests sought in windows `factor` times as long; that of the first rows without rests."""
     durations = (f.name for f in fields(Tuning) if f.metadata["unit"] == "s")
     tuning = replace(USUAL, **{name: factor * getattr(USUAL, name) for name in durations})
-    channels, files = (*reduction.accel_channels, *reduction.gyro_channels), reduction.by_file
+    channels = (*reduction.accel_channels, *reduction.gyro_channels)
+    files = reduction.by_file
     spans: tuple[Stretch, ...] = ()
     if max(max(-c.minimum, c.maximum) for c in channels) < LARGEST_SQUARED:
         with np.errstate(invalid="ignore"):  # a stretch of zeros
@@ -190,7 +195,8 @@ def _evidence_at(reduction: Reduction, factor: float, unread: Evidence, widths: 
     accel = [files[s.file].accel.means[s.first : s.last] for s in spans]
     gyro = [files[s.file].gyro.means[s.first : s.last] for s in spans]
     length, length_u, zero, gravity = length_and_zero(np.array([blocks.mean(axis=0) for blocks in accel]), widths)
-    up, rates = unit_vector(gravity), np.array([np.median(blocks, axis=0) for blocks in gyro])
+    up = unit_vector(gravity)
+    rates = np.array([np.median(blocks, axis=0) for blocks in gyro])
     turns = _turns(reduction, spans, up, rates) if rates.size else []
     scatters = []  # of a sample, from the scatter of means of blocks
     for rests_of_kind in (accel, gyro):
@@ -233,36 +239,45 @@ def length_and_zero(means: Array, widths: Widths = WIDTHS) -> tuple[float, float
     """Estimate gravity and the zero of accelerometers from mean readings (N, 3) at rest.
 
     Returns the raw numbers for one g with their relative standard uncertainty, the zero of each sensor to five digits,
-    and the readings (N, 3) relative to the zero. The zero is the centre of the sphere through the readings, or exactly
-    0 or the middle of a converter if the centre is near one of these or undetermined. The length solves |m − c| = r by
-    least squares, with a prior for the offsets from a known zero, so that few rests do not shift it far."""
+    and the readings (N, 3) relative to the estimated centre. The zero is that of the raw numbers: 0 or the middle of a
+    converter if the centre of the sphere through the readings is near one of these, 0 if it is undetermined, else this
+    centre. The length r is that of least squares, |m − c| = r for every reading m, with a prior of c about the zero, so
+    that few rests do not shift it far."""
     length = float(np.median(np.linalg.norm(means, axis=1)))
     zero, offset = np.zeros(3), widths.offset
-    if len(means) >= 4:
-        alike = float(np.linalg.norm(means.std(axis=0))) < _ALIKE * length
-        singular = np.linalg.svd(means - means.mean(axis=0), compute_uv=False)
-        nominal_lengths = np.array([scale.value for scale in CANDIDATES[ACCEL] if not scale.increment])
-        in_table = alike and np.abs(np.log(length / nominal_lengths)).min() < SCALE_TOLERANCE
-        if singular[2] > _LEAST_SINGULAR * singular[0] and not in_table:
-            centre, radius = sphere_through(means)
-            uneven = float(np.linalg.norm(means - centre, axis=1).std()) / radius
-            is_sphere = uneven < _LARGEST_UNEVEN and np.ptp(means, axis=0).min() > _LEAST_EXTENT * radius
-            middles = MIDDLES if (means > 0.0).all() else ()
-            nominal = next((m for m in (0.0, *middles) if np.abs(centre - m).max() < _NO_OFFSET * radius), None)
-            if nominal is not None or is_sphere:
-                zero = centre if nominal is None else np.full(3, nominal)
-                offset = np.inf if nominal is None else max(offset, float(np.abs(centre - zero).max()) / radius)
+    if len(means) >= 4 and _determine_centre(means, length):
+        centre, radius = sphere_through(means)
+        uneven = float(np.linalg.norm(means - centre, axis=1).std()) / radius
+        is_sphere = uneven < _LARGEST_UNEVEN and np.ptp(means, axis=0).min() > _LEAST_EXTENT * radius
+        middles = MIDDLES if (means > 0.0).all() else ()
+        nominal = next((m for m in (0.0, *middles) if np.abs(centre - m).max() < _NO_OFFSET * radius), None)
+        if nominal is not None:
+            zero = np.full(3, nominal)
+            offset = max(offset, float(np.abs(centre - zero).max()) / radius)
+        elif is_sphere:
+            zero, offset = centre, np.inf
     centre, length_u = zero, offset
     length = float(np.median(np.linalg.norm(means - zero, axis=1)))
     for _ in range(_CENTRE_STEPS if length > 0.0 else 0):
-        away = means - centre
-        design = np.vstack([np.column_stack([unit_vector(away), np.ones(len(away))]) / _UNEVEN, np.eye(4)[:3] / offset])
-        residual = (np.linalg.norm(away, axis=1) / length - 1.0) / _UNEVEN
-        inverse = np.linalg.pinv(design)
-        *step, growth = inverse @ np.concatenate([residual, (zero - centre) / length / offset])
-        centre, length_u = centre + length * np.array(step), float(np.linalg.norm(inverse[3]))
+        readings = means - centre
+        # unknowns are the step of the centre and the growth of r, both over r; rows are |m − c| = r and the prior of c
+        by_reading = np.column_stack([unit_vector(readings), np.ones(len(readings))]) / _UNEVEN
+        residuals = (np.linalg.norm(readings, axis=1) / length - 1.0) / _UNEVEN
+        inverse = np.linalg.pinv(np.vstack([by_reading, np.eye(4)[:3] / offset]))
+        *step, growth = inverse @ np.concatenate([residuals, (zero - centre) / length / offset])
+        length_u = float(np.linalg.norm(inverse[3]))
+        centre = centre + length * np.array(step)
         length *= 1.0 + growth
     return length, length_u, [float(f"{z:.5g}") for z in zero], means - centre
+
+
+def _determine_centre(means: Array, length: float) -> bool:
+    """Return whether readings (N, 3) of attitudes determine a centre, and are not those of one attitude in a unit."""
+    singular = np.linalg.svd(means - means.mean(axis=0), compute_uv=False)
+    alike = float(np.linalg.norm(means.std(axis=0))) < _ALIKE * length
+    lengths = np.array([scale.value for scale in CANDIDATES[ACCEL] if not scale.increment])
+    in_table = alike and np.abs(np.log(length / lengths)).min() < SCALE_TOLERANCE
+    return bool(singular[2] > _LEAST_SINGULAR * singular[0] and not in_table)
 
 
 def _turns(
@@ -272,26 +287,27 @@ def _turns(
     (m, 3), and the vertical before and after.
 
     Turns with a clipped gyro are left out; such a gyro repeats its largest reading, and rarely reads slightly less."""
-    files, samples, bias = reduction.by_file, reduction.samples, np.median(rates, axis=0)
+    files, samples = reduction.by_file, reduction.samples
     assert samples is not None
+    bias = np.median(rates, axis=0)
     candidates = []
-    for k, (before, behind) in enumerate(pairwise(spans)):
-        if before.file == behind.file and ends_tilted(up[k], up[k + 1]):
+    for k, (before, after) in enumerate(pairwise(spans)):
+        if before.file == after.file and ends_tilted(up[k], up[k + 1]):
             blocks = files[before.file]
-            rate, _, dt = samples.read(blocks.sample_at(before.last), blocks.sample_at(behind.first))
+            rate, _, dt = samples.read(blocks.sample_at(before.last), blocks.sample_at(after.first))
             if len(rate) >= _CLIPPED_RUN and np.isfinite(rate).all():
                 candidates.append((k, rate, dt))
+    candidates.sort(key=lambda turn: len(turn[1]))
     limit = np.max([np.abs(rate).max(axis=0) for _, rate, _ in candidates], axis=0) if candidates else np.zeros(3)
     turns = []
-    for k, rate, dt in sorted(candidates, key=lambda turn: len(turn[1])):
-        at_limit, near_limit = np.abs(rate) == limit, np.abs(rate) > _BELOW_CLIPPING * limit
+    for k, rate, dt in candidates:
+        at_limit = np.abs(rate) == limit
+        near_limit = np.abs(rate) > _BELOW_CLIPPING * limit
         in_a_row = (at_limit[2:] & at_limit[1:-1] & at_limit[:-2]).any(axis=0)
-        if not (in_a_row & (2 * at_limit.sum(axis=0) > near_limit.sum(axis=0))).any():
+        is_clipped = in_a_row & (2 * at_limit.sum(axis=0) > near_limit.sum(axis=0))
+        if not is_clipped.any():
             turns.append(((rate - bias) * (reduction.rate * dt)[:, None], up[k], up[k + 1]))
     return turns[:MOST_TURNS]
-
-
-# -------------------- cost --------------------
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -321,10 +337,10 @@ def ranked_hypotheses(evidence: Evidence, draft: Draft) -> list[Hypothesis]:
     has_accel = ACCEL in draft.triads
     accels = list(_assumed_scales(ACCEL, draft, evidence, deviation)) or [(COUNTS, 0.0)]
     gyros = list(_assumed_scales(GYRO, draft, evidence, widths.scale))
-    if not evidence.profiles:  # nothing determines the scale of counts
-        listed = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.listed)
-        in_units = [(gyro, cost) for gyro, cost in gyros if gyro.unit is not None]
-        gyros = [*([(COUNTS, -2.0 * math.log(listed))] if listed else []), *in_units]
+    if not evidence.profiles:  # nothing determines the scale of counts: one hypothesis of all listed scales
+        listed_share = sum(math.exp(-0.5 * cost) for gyro, cost in gyros if gyro.unit is None and gyro.listed)
+        counts = [(COUNTS, -2.0 * math.log(listed_share))] if listed_share else []
+        gyros = [*counts, *((gyro, cost) for gyro, cost in gyros if gyro.unit is not None)]
     if has_accel and evidence.whole[ACCEL] and evidence.length < _FEWEST_COUNTS:
         accels = [(accel, cost) for accel, cost in accels if accel.unit is not None] or accels
     unit_stated = has_accel and ACCEL_UNITS[draft.unit(ACCEL) or "count"].kind != "raw"
@@ -335,13 +351,15 @@ def ranked_hypotheses(evidence: Evidence, draft: Draft) -> list[Hypothesis]:
             accel_trials = []
             for accel, assumption in accels:
                 scale = accel if accel.listed else replace(accel, value=evidence.length)
-                off = math.log(evidence.length / scale.reading(times.rate)) / deviation
-                zero = max(map(abs, evidence.zero)) / (_PRIOR.zero * evidence.length) if accel.unit else 0.0
-                pairs = PRIORS["pairs"].get(accel.unit or "count", {})
-                paired = has_accel and gyro is not None and gyro.listed
-                odds = pairs.get(gyro.unit or "count", 1.0) if paired and gyro is not None else 1.0
-                misfit = 0.0 if unit_stated and accel.unit else off**2 + zero**2
-                accel_trials.append((scale, assumption - 2.0 * math.log(odds) + misfit))
+                cost = assumption
+                if has_accel and gyro is not None and gyro.listed:  # units that occur together
+                    odds = PRIORS["pairs"].get(accel.unit or "count", {}).get(gyro.unit or "count", 1.0)
+                    cost -= 2.0 * math.log(odds)
+                if not (unit_stated and accel.unit):
+                    length_error = math.log(evidence.length / scale.reading(times.rate)) / deviation
+                    zero = max(map(abs, evidence.zero)) / (_PRIOR.zero * evidence.length) if accel.unit else 0.0
+                    cost += length_error**2 + zero**2
+                accel_trials.append((scale, cost))
             least = min(cost for _, cost in accel_trials)
             common = times.cost + short_rests**2 + gyro_cost
             hypotheses += [
@@ -353,10 +371,7 @@ def ranked_hypotheses(evidence: Evidence, draft: Draft) -> list[Hypothesis]:
 
 
 def _gyro_trials(
-    draft: Draft,
-    evidence: Evidence,
-    gyros: list[tuple[SensorScale, float]],
-    profile: TurnLikelihood | None,
+    draft: Draft, evidence: Evidence, gyros: list[tuple[SensorScale, float]], profile: TurnLikelihood | None
 ) -> Iterator[tuple[Times, SensorScale | None, float]]:
     """Yield times and gyro scales with the cost of turns, readings and assumptions.
 
@@ -384,9 +399,9 @@ def _gyro_trials(
                 cost += _cost_of_readings(evidence, scale, times.rate, widths)
             yield times, scale, cost
         if nominal is not None and draft.times.stamped and draft.unit(GYRO) == gyro.unit is not None:
-            for others in (o for o in CANDIDATES[GYRO] if o.unit not in (None, gyro.unit) and not o.increment):
-                cost = nominal.at(math.log(others.reading(draft.rate) * draft.rate / DEGREE))
-                cost += _cost_of_readings(evidence, others, draft.rate, widths)
+            for other in (o for o in CANDIDATES[GYRO] if o.unit not in (None, gyro.unit) and not o.increment):
+                cost = nominal.at(math.log(other.reading(draft.rate) * draft.rate / DEGREE))
+                cost += _cost_of_readings(evidence, other, draft.rate, widths)
                 yield draft.times, gyro, cost - 2.0 * math.log(widths.named_wrongly)
 
 

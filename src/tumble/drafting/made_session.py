@@ -43,13 +43,12 @@ def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tupl
     for ending in (".gz", ".zst"):
         stem = stem.removesuffix(ending)
     stem = Path(f"_{stem}").stem[1:].lstrip("-. ") or "log"  # neither hidden nor like an option
-    sha256 = hashlib.sha256()
+    parts: list[Path] = []
     for file in files_of(log):
-        for part in sorted(p for p in file.rglob("*") if p.is_file()) if file.is_dir() else [file]:
-            with readable(part), part.open("rb", buffering=0) as stream:
-                hashlib.file_digest(stream, lambda: sha256)
+        parts += sorted(part for part in file.rglob("*") if part.is_file()) if file.is_dir() else [file]
+    log_sha256 = _sha256(*parts)
     made = {folder: _made(folder) for folder in log.parent.glob("*-session")}
-    of_log = [folder for folder, content in made.items() if content.get("log_sha256") == sha256.hexdigest()]
+    of_log = [folder for folder, content in made.items() if content.get("log_sha256") == log_sha256]
     of_log.sort(key=lambda folder: (folder / MADE).stat().st_mtime_ns, reverse=True)
     latest: dict[str, Any] = made[of_log[0]] if of_log else {}
     name = latest.get("name", stem)
@@ -65,8 +64,9 @@ def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tupl
             with in_use(folder, shared=True):
                 yield folder, f"{folder / SESSION_FILE}: the session made earlier from this log{whose}{by_hand}", []
             return
-    origin, before = "", latest.get("given", {})
+    origin = ""
     if of_log:
+        before = latest.get("given", {})
         other = [key for key in {**before, **stated} if before.get(key) != stated.get(key)]
         options = f" ({', '.join(f'--{key}' for key in other).replace('_', '-')})" if other else ""
         origin = f"new session, as options or the version of tumble differ{options}; {of_log[0]} is kept too; "
@@ -77,7 +77,7 @@ def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tupl
         raise InputError(f"{folder}: expected a folder that can be made, found {log.parent} read-only; {advice}")
     with nothing_left(folder) as output:
         draft, _ = written_session(output, log, given, progress)
-        content = {"log_sha256": sha256.hexdigest(), "name": name, "given": stated, "version": __version__}
+        content = {"log_sha256": log_sha256, "name": name, "given": stated, "version": __version__}
         content["session_sha256"] = _sha256(folder / SESSION_FILE)
         with whole_file(output.new_file(MADE)) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
@@ -95,5 +95,10 @@ def _made(folder: Path) -> dict[str, Any]:
     return {}
 
 
-def _sha256(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+def _sha256(*files: Path) -> str:
+    """Return the hash of the contents of files, one behind the other."""
+    sha256 = hashlib.sha256()
+    for file in files:
+        with readable(file), file.open("rb", buffering=0) as stream:
+            hashlib.file_digest(stream, lambda: sha256)
+    return sha256.hexdigest()

@@ -30,14 +30,7 @@ from tumble.drafting.repairs import repair_log
 from tumble.drafting.sensors_apart import log_of_recording
 from tumble.errors import InputError, LogError
 from tumble.files import FilePath, OutputFolder, nothing_left, whole_file
-from tumble.recording.columns.names import (
-    ACCEL,
-    GYRO,
-    MAGNETOMETER,
-    NAMED,
-    Sensors,
-    temperature_unit,
-)
+from tumble.recording.columns.names import ACCEL, GYRO, MAGNETOMETER, NAMED, Sensors, temperature_unit
 from tumble.recording.columns.scales import PRIORS
 from tumble.recording.formats import MESSAGES, is_recording
 from tumble.recording.log import Log
@@ -178,9 +171,6 @@ def drafted_log(
         draft.log[ACCEL] = {"columns": accel["columns"], **counts}
         draft.say("accelerometers: as Apple's CoreMotion has them, −1 g where an axis points up: scale = -1 per g")
     return draft, faults
-
-
-# -------------------- names and first numbers --------------------
 
 
 def _draft_of_raw_numbers(log: ForeignLog, given: Given, widths: Widths) -> Draft:

@@ -30,7 +30,12 @@ _BLANK_SHARE = 0.02  # of rows without readings; a larger share are rows of othe
 _READ_SHARE = 0.5  # least share of its sensors that a sample has; a row of words and other numbers has fewer
 _FEWEST_ROWS = 50
 _POSITION_JUMP = 0.2  # of gravity
-_STILL_SHARE, _NOISE_SIGMAS = 0.01, 5.0  # of a jump: rows of a position drift less, those of a turn more
+_STILL_SHARE = 0.01  # of a jump: rows of a position drift less, those of a turn more
+_NOISE_SIGMAS = 5.0  # of the noise in a drift
+_SIGN, _WRAP = 32768.0, 65536.0  # of 16-bit numbers
+_NEGATIVE_SHARE = 1e-3  # least share of numbers at the upper end, if 16-bit numbers were read as unsigned
+_MIDDLE_SHARE = 0.02  # largest share of numbers in the middle, if so
+_UNLED = 2.0  # steps to a limit over the largest other step; at most 1.1 in turns of up to 80 times the range
 
 Repair = tuple[str, Callable[[pl.DataFrame], pl.DataFrame]]
 """A remark on a change of the rows of a file, and the change."""
@@ -45,20 +50,20 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
     for kind, sensors in triads.items():
         if kind != MAGNETOMETER and not np.isfinite(log.read(sensors.columns, rows=SAMPLE_ROWS)).any():
             raise InputError(f"{log.files[0]}: expected numbers in {', '.join(sensors.columns)[:200]}, found none")
-    time = [column for column in (log.columns.time, nanoseconds_column(log)) if column is not None]
+    time_columns = [column for column in (log.columns.time, nanoseconds_column(log)) if column is not None]
     if log.instance:
         ((column, value),) = log.instance.items()
         repair = f"rows: those with {value:g} in column {column!r}, of one device", log.rows_of_instance
-        return repair_log(_copy(log, folder, [*time, column], [repair]), folder, rate)
+        return repair_log(_copy(log, folder, [*time_columns, column], [repair]), folder, rate)
     stamps = log.stamps()
     if stamps is not None and len(stamps.values) >= _FEWEST_ROWS and grows_mostly(-stamps.values):
         remark = f"time: column {stamps.column!r} falls from row to row: rows put in the order of time"
         return repair_log(_copy(log, folder, [stamps.column], [(remark, pl.DataFrame.reverse)]), folder, rate)
-    if copies := _copied_rows(log, time):
-        return repair_log(_copy(log, folder, time, copies), folder, rate)
+    if copies := _copied_rows(log, time_columns):
+        return repair_log(_copy(log, folder, time_columns, copies), folder, rate)
     rate = None if rate is not None and log.times(rate).stamped else rate
     repairs = _leave_out_other_rows(log) + _mend_readings(log)
-    time, in_seconds, time_repairs = _repair_time(log, rate)
+    time_columns, in_seconds, time_repairs = _repair_time(log, rate)
     parts, why = None, ""
     untouched = len(log.files) == 1 and not (repairs or time_repairs) and rate is None
     if untouched and stamps is not None and not stamps.clock and len(stamps.values) < LONGEST:
@@ -71,13 +76,13 @@ def repair_log(log: ForeignLog, folder: OutputFolder, rate: float | None) -> For
     repairs += time_repairs
     if not repairs and parts is None:
         return log
-    return _copy(log, folder, time, repairs, in_seconds=in_seconds, parts=parts, why=why)
+    return _copy(log, folder, time_columns, repairs, in_seconds=in_seconds, parts=parts, why=why)
 
 
 def _copy(
     log: ForeignLog,
     folder: OutputFolder,
-    time: list[str],
+    time_columns: list[str],
     repairs: list[Repair],
     *,
     in_seconds: bool = False,
@@ -87,8 +92,9 @@ def _copy(
     """Return the log of a repaired copy, one file for each file or for each range of rows in `parts`.
 
     With `in_seconds` the repairs have replaced the time by a column TIME. `why` is the remark on the parts."""
-    columns = (*time, *log.columns.sensors, *log.columns.temperatures)
-    stamp, files = [TIME] if in_seconds else time, list[Path]()
+    columns = (*time_columns, *log.columns.sensors, *log.columns.temperatures)
+    stamp = [TIME] if in_seconds else time_columns
+    files = list[Path]()
     for number, source in enumerate(log.sources(), 1):
         rows = pl.concat(table for table, _ in source.tables(list(dict.fromkeys(columns)), log.clock))
         for _, repair in repairs:
@@ -131,17 +137,17 @@ def _leave_out_other_rows(log: ForeignLog) -> list[Repair]:
     return [(remark, lambda rows: rows.filter(pl.mean_horizontal(pl.col(sensors).is_finite()) >= _READ_SHARE))]
 
 
-def _copied_rows(log: ForeignLog, time: list[str]) -> list[Repair]:
+def _copied_rows(log: ForeignLog, time_columns: list[str]) -> list[Repair]:
     """Leave out rows that are in the file of a log twice, with one time stamp and equal readings.
 
     Where a clock is coarse, stamps repeat with other readings. Files with the same rows are refused when they are
     read."""
     if len(log.files) > 1:
         return []
-    columns = [*time, *log.columns.sensors]
+    columns = [*time_columns, *log.columns.sensors]
     rows = pl.DataFrame(log.read(columns), schema=columns, orient="row")
     repeated = _BLANK_SHARE * rows.height
-    stamps = rows.select(time).n_unique() if time else rows.height
+    stamps = rows.select(time_columns).n_unique() if time_columns else rows.height
     if rows.height - stamps <= repeated or (different := rows.n_unique()) - stamps > repeated:
         return []
     copies = f"{rows.height - different} of {rows.height} are in the log twice, with the same time and readings"
@@ -219,12 +225,6 @@ def nanoseconds_column(log: ForeignLog) -> str | None:
     return next((n for n in log.names if nano.search(n) and nano.sub("", n) == log.columns.time), None)
 
 
-# -------------------- 16-bit numbers read as unsigned --------------------
-
-_SIGN, _WRAP = 32768.0, 65536.0  # of 16-bit numbers
-_NEGATIVE_SHARE, _MIDDLE_SHARE = 1e-3, 0.02  # least share of numbers at the upper end, and less than this in the middle
-
-
 def _are_unsigned(columns: Array) -> bool:
     """Return whether integers are signed 16-bit numbers read as unsigned: at both ends, hardly any in the middle."""
     numbers = columns[np.isfinite(columns)]
@@ -239,11 +239,6 @@ def with_signs(columns: Array) -> Array:
     return np.where(columns >= _SIGN, columns - _WRAP, columns) if _are_unsigned(columns) else columns
 
 
-# -------------------- integers that stand for no reading --------------------
-
-_UNLED = 2.0  # steps to a limit over the largest other step; at most 1.1 in turns of up to 80 times the range
-
-
 def stand_for_none(columns: Array) -> BoolArray:
     """Return which integers (m, 3) of one kind of sensor stand for no reading.
 
@@ -252,7 +247,8 @@ def stand_for_none(columns: Array) -> BoolArray:
     at_limit, finite = np.isin(columns, PRIORS["numbers"]["limits"]), np.isfinite(columns)
     if not at_limit.any() or (columns[finite] != np.floor(columns[finite])).any():
         return np.zeros(columns.shape, dtype=bool)
-    at, steps = np.asarray(at_limit.any(axis=1)), np.linalg.norm(np.diff(columns, axis=0), axis=1)
+    at = np.asarray(at_limit.any(axis=1))
+    steps = np.linalg.norm(np.diff(columns, axis=0), axis=1)
     largest = np.max(steps[np.isfinite(steps) & ~(at[1:] | at[:-1])], initial=0.0)
     for start, stop in np.flatnonzero(np.diff(at, prepend=False, append=False)).reshape(-1, 2).tolist():
         if min((*steps[max(start - 1, 0) : start], *steps[stop - 1 : stop]), default=0.0) <= _UNLED * largest:
@@ -262,7 +258,9 @@ def stand_for_none(columns: Array) -> BoolArray:
 
 def _mend_readings(log: ForeignLog) -> list[Repair]:
     """Restore the signs of 16-bit numbers that were read as unsigned, and mark integers that stand for no reading."""
-    triads, unsigned, marked = [triad.columns for triad in log.columns.triads.values()], list[str](), list[str]()
+    triads = [triad.columns for triad in log.columns.triads.values()]
+    unsigned = list[str]()
+    marked = list[str]()
     for columns in triads:
         numbers = log.read(columns)
         unsigned += columns if _are_unsigned(numbers) else ()
@@ -279,15 +277,15 @@ def _mend_readings(log: ForeignLog) -> list[Repair]:
             rows = rows.with_columns(pl.DataFrame(numbers, schema=list(columns), orient="row"))
         return rows
 
-    remarks = [f"{', '.join(unsigned)}: 16-bit numbers read without their sign: 65536 taken off where it is due"]
-    remarks = remarks if unsigned else []
+    remarks = list[str]()
+    if unsigned:
+        remarks.append(
+            f"{', '.join(unsigned)}: 16-bit numbers read without their sign: 65536 taken off where it is due"
+        )
     if marked:
         found = f"{'; '.join(marked)}, to which no other readings lead"
         remarks.append(f"{found}, stand for no reading: lost samples")
     return [("; ".join(remarks), mended)] if remarks else []
-
-
-# -------------------- positions without turns between them --------------------
 
 
 def _successive_positions(log: ForeignLog) -> tuple[list[tuple[int, int]] | None, str]:

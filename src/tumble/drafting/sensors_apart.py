@@ -31,6 +31,10 @@ from tumble.recording.formats import TIME, Message, messages, write_log
 from tumble.recording.session import AutopilotSensor
 from tumble.units import TIME_UNITS
 
+_MOST_DEVICES = 8
+_WINDOWS = 20  # of a recording
+_FILLED_SHARE = 0.9  # least share of windows in which a device has half its usual rows or more
+
 
 def log_of_recording(
     recordings: Sequence[Path], folder: OutputFolder, message: str | None
@@ -40,7 +44,8 @@ def log_of_recording(
     The message is the one with the given name, or the first with the most sensors. Two files are one recording if one
     has the accelerometers and the other the gyros. Raises InputError for several recordings, and if no message has this
     name."""
-    recording, candidates = recordings[0], messages(*recordings)
+    recording = recordings[0]
+    candidates = messages(*recordings)
     with_accel = [m for m in candidates if m.accel]
     if len(recordings) > 1 and (len(candidates) > len(recordings) or len(with_accel) > 1):
         raise InputError(f"{recording}: expected one recording, found {len(recordings)}; give each its own session")
@@ -54,9 +59,9 @@ def log_of_recording(
         both = ((m, {number, m.name.rpartition(".")[2]}) for m in candidates if m.gyro and m.timed)
         gyro = next((m for m, numbers in both if sum(map(str.isdecimal, numbers)) < 2), None)
     taken = [accel] if gyro is None or gyro is accel else [accel, gyro]
-    own_temperatures = [m.temperatures for m in taken if m.temperatures]
-    one_each = len(own_temperatures) == 2 and max(map(len, own_temperatures)) == 1
-    temperatures = own_temperatures[0] + own_temperatures[1] if one_each else next(iter(own_temperatures), ())
+    thermometers = [m.temperatures for m in taken if m.temperatures]
+    one_each = len(thermometers) == 2 and max(map(len, thermometers)) == 1
+    temperatures = thermometers[0] + thermometers[1] if one_each else next(iter(thermometers), ())
     log = folder.new_file("log.parquet")
     write_log(log, accel, gyro)
     remarks = [f"{recording.name}: message {accel.name}, written to {log}"]
@@ -76,13 +81,6 @@ def log_of_recording(
     imu = {kind: sensor for m in reversed(taken) for kind, sensor in m.imu.items()}
     doubts = tuple(dict.fromkeys(m.doubt for m in taken if m.doubt))
     return ForeignLog(files=(log,), columns=columns, remarks=tuple(remarks), doubts=doubts), imu
-
-
-# -------------------- several devices in a table --------------------
-
-_MOST_DEVICES = 8
-_WINDOWS, _FILLED_SHARE = 20, 0.9
-"""Windows of a recording, and the least share of them in which a device has half its usual rows or more."""
 
 
 def of_one_group(log: ForeignLog, name: str | None) -> ForeignLog:
@@ -117,15 +115,16 @@ def _with_choice(log: ForeignLog, several: str, names: Sequence[str], taken: str
 def of_one_device(log: ForeignLog, name: str | None) -> ForeignLog:
     """Return the log with the rows of one device if a column of few whole numbers separates several.
 
-    `name` is that of a device, by default the first. Each device has rows all the time, other than the values of a
-    label or a state. A column without a name that says so separates devices only if
-    their stamps are even by themselves, and not together."""
+    `name` is that of a device, by default the first. Each device has rows throughout the log, unlike the values of a
+    label or a state. A column that is not named as one of devices separates them only if the stamps of each device are
+    even, and those of all together are not."""
     named = log.columns
     taken = {named.time, *named.times, *named.temperatures, *named.sensors}
     free = [column for column in log.numeric if column not in taken]
     for column in sorted(free, key=lambda column: not NAMED["device"].fullmatch(column)):
         cells = log.cells.get(column) or log.readings(column)[:SAMPLE_ROWS].tolist()
-        is_named, changes = NAMED["device"].fullmatch(column) is not None, sum(a != b for a, b in pairwise(cells))
+        is_named = NAMED["device"].fullmatch(column) is not None
+        changes = sum(a != b for a, b in pairwise(cells))
         if len(set(cells)) > _MOST_DEVICES or not (is_named or 4 * changes > len(cells)):
             continue
         try:
@@ -148,9 +147,6 @@ def of_one_device(log: ForeignLog, name: str | None) -> ForeignLog:
         log = _with_choice(log, f"several devices by column {column!r}", names, name or names[0])
         return replace(log, instance={column: float(values[names.index(name or names[0])])})
     return log
-
-
-# -------------------- files of one kind of sensor each --------------------
 
 
 def are_sensors_apart(logs: Sequence[ForeignLog]) -> bool:

@@ -35,8 +35,8 @@ _PRIOR = SimpleNamespace(**PRIORS["times"])
 UNLISTED_SHARE: float = _PRIOR.unlisted_share
 """Share of logs with a rate that is not listed."""
 _USUAL_BAND = 10.0, 2000.0  # Hz
-_IRREGULAR_SHARE, _IRREGULAR_FREE = 2e-2, 3  # irregular steps that are tolerated: share and number
-_PAUSE_SHARE, _PAUSE_FACTOR = 2e-3, 10.0  # longer steps than this factor times the (1 − share) quantile are pauses
+_IRREGULAR_SHARE, _IRREGULAR_FREE = 2e-2, 3  # irregular steps that are tolerated: this number and this share
+_PAUSE_SHARE, _PAUSE_FACTOR = 2e-3, 10.0  # a pause is longer than this factor times the (1 − share) quantile of steps
 _NEAR_TYPICAL = 0.5  # of the typical step, for steps that are averaged: stamps in whole ms, without lost samples
 _LONGEST_DELAY = 0.1  # of the log; longer delays are pauses
 _JITTER = 0.25  # of the interval
@@ -44,6 +44,10 @@ _LINE_TOLERANCE = 3.0  # intervals, of stamps about a straight line, in addition
 _FEWEST_STEPS = 10  # that grow; fewer tell no rate to some percent
 _LEAST_GROWTH = 1e-9  # of stamps in all, in any unit
 _FALLING_SHARE = 0.01  # of steps
+_MOST_OVERFLOWS = 10_000
+_LOST_AT_RESTART = 50  # samples that may be lost where a counter overflows
+_MOST_RECORDINGS = 50  # in a log
+_SHORTEST_RECORDING = 50  # rows
 _RATE_IN_TEXT = re.compile(
     r"(?:rate|frequency|freq|fs|odr|\bat|частота|abtastrate|采样率)\w*[^0-9\n]{0,20}?(\d+(?:[.,]\d+)?)\s*(?:k?Hz|Гц|赫兹|$)",
     re.IGNORECASE,
@@ -117,15 +121,16 @@ def times_of_column(stamps: Stamps) -> Times | None:
         return None
     fault = _fault_of_stamps(steps / typical)
     regular = fault is not None and _rows_are_equally_spaced(values)
-    slope, near = typical, np.abs(steps - typical) <= _NEAR_TYPICAL * typical
-    if fault is None and near.any():
-        slope = float(steps[near].mean())
+    interval = typical
+    near = np.abs(steps - typical) <= _NEAR_TYPICAL * typical
     if regular:
-        slope = float(np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1])
+        interval = float(np.polynomial.Polynomial.fit(np.arange(len(values)), values, 1).convert().coef[1])
+    elif fault is None and near.any():
+        interval = float(steps[near].mean())
     trials = []
     for unit, cost in units.items():
-        one = 1.0 if stamps.clock else TIME_UNITS[unit]
-        rate, nominal = 1.0 / (slope * one), 1.0 / (typical * one)
+        seconds = 1.0 if stamps.clock else TIME_UNITS[unit]
+        rate, nominal = 1.0 / (interval * seconds), 1.0 / (typical * seconds)
         keys: dict[str, Any] = {"time": stamps.column}
         if stamps.clock or unit != "s":
             keys["time_unit"] = "iso8601" if stamps.clock else unit
@@ -185,11 +190,6 @@ def grows_mostly(values: Array) -> bool:
     """Return whether stamps grow, except where a clock restarts or rows are out of order."""
     steps = np.diff(values[np.isfinite(values)])
     return bool(steps[steps > 0.0].sum() > _LEAST_GROWTH and np.mean(steps < 0.0) <= _FALLING_SHARE)
-
-
-_MOST_OVERFLOWS = 10_000
-_LOST_AT_RESTART = 50  # samples that may be lost where a counter overflows
-_MOST_RECORDINGS, _SHORTEST_RECORDING = 50, 50  # recordings in a log; rows
 
 
 def overflow_of(values: Array) -> float | None:

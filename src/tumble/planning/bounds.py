@@ -15,18 +15,18 @@ of table and mounting have no effect, as the attitudes are unknowns: one degree 
 
 The noise and the sizes of groups are those that `joint` is expected to find (`with_expected_sizes`): it estimates
 hyperparameters (`tumble.inference.hyperparameters`) with the parameters, and integrates over them. For a session with
-noise of standard deviation s, no scatter beside it and groups of the usual size, the posterior of each hyperparameter
-alone is
+noise of standard deviation s and no other scatter, and for parameters of the usual size s, each observed with the
+variance v, the posterior of each hyperparameter alone is
 
-    x = σ/s of a component of scatter with ν degrees of freedom     p(x) (1 + x²)^{−ν/2} e^{−χ²/2(1 + x²)}
-    λ of a group observed with variances v, of the usual size s     p(λ) Π (λ²s² + v)^{−1/2} e^{−y²/2(λ²s² + v)}
+    x = σ/s of a component of scatter with ν degrees of freedom    p(x) (1 + x²)^{−ν/2} exp[−½ χ²/(1 + x²)]
+    λ of the sizes of a group of parameters                        p(λ) Π (λ²s² + v)^{−1/2} exp[−½ y²/(λ²s² + v)]
 
-with random χ² of ν degrees of freedom and y of variance s² + v. For scatter the root mean square of σ is taken, of the
-median session. For a group, the width of the prior is that which gives a parameter its variance averaged over sessions,
-as this is much larger in a few: the mean of 1/(1/λ²s² + 1/v), plus the variation of its value with λ. A group that the
-session hardly determines (`INFORMATIVE_GROUP`) keeps its usual size, as in the integral. Each is found with the
-expected sizes of all others. An in-run bias is a group with as many members as states, whose prior is log-normal about
-the size of the set-up.
+with random χ² of ν degrees of freedom, and estimates y of variance s² + v. For scatter, σ is taken as the root mean
+square of x s over the posterior of the median session. For a group, the size λs is that with which a parameter has its
+variance averaged over sessions, as this is much larger in a few: the mean of 1/(1/λ²s² + 1/v), plus the variance of its
+estimate y λ²s²/(λ²s² + v) with λ. A group about which the session says little (`INFORMATIVE_GROUP`) keeps its usual
+size, as in the integral. Each hyperparameter is found with the expected sizes of all others. An in-run bias is a group
+with as many members as states, whose prior is log-normal about the size of the set-up.
 """
 
 from __future__ import annotations
@@ -44,12 +44,7 @@ from tumble.diagnosis.linear_model import is_omitted, shift_by_likelihood
 from tumble.earth import earth_rate
 from tumble.errors import InputError
 from tumble.inference.estimate import DETERMINED, UNOBSERVABLE_SHARE
-from tumble.inference.hyperparameters import (
-    LEAST_DEGREES,
-    hyperparameters_of,
-    quadratic_forms,
-    size_factors,
-)
+from tumble.inference.hyperparameters import LEAST_DEGREES, hyperparameters_of, quadratic_forms, size_factors
 from tumble.inference.integral import INFORMATIVE_GROUP
 from tumble.inference.integrated_turns import IntegratedTurns
 from tumble.inference.linearisation import Linearisation, linearise
@@ -79,12 +74,12 @@ from tumble.sensors.parameters import Terms, positions_by_group, prior_sizes
 from tumble.units import Array, BoolArray
 
 NOISE, GRAVITY, CLOCK = "noise and in-run biases", "gravity of the site", "time base of the log"  # names of sources
-ORDERS = 8  # of the positions of a programme in any order, over which u is averaged
+ORDERS = 8  # random orders of the positions over which u is averaged, if any order is allowed
 SHORTEST_TIME = 1e-3  # s: correlation time of biases that are independent from rest to rest
-POINTS = 400  # of an integral
-ROUNDS = 2  # of the sizes of groups, each with those of the others
-RANGE = 4.0  # of an integral, in standard deviations of the prior
-QUANTILES = (np.arange(64) + 0.5) / 64  # sessions that are averaged
+POINTS = 400  # of an integral over a hyperparameter
+RANGE = 4.0  # limit of such an integral, in standard deviations of the prior
+ROUNDS = 2  # of the sizes of groups, each with the sizes of the others from the round before
+QUANTILES = (np.arange(64) + 0.5) / 64  # of χ², each a session; as many random sessions for a group
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False, repr=False)
@@ -141,10 +136,13 @@ def expected_bound(setup: Setup, *, gyros: bool = True, terms: Terms = "full", m
     if motion is not None:
         return _mean([_bound_of_course(course, setup, gyros=True, terms=terms) for course in motion.courses])
     if not setup.programme.ordered:
-        listed, rng = setup.programme, np.random.default_rng(0)
-        orders = [rng.permutation(len(listed.positions)).tolist() for _ in range(ORDERS)]
-        programmes = (replace(listed, positions=tuple(listed.positions[i] for i in o), ordered=True) for o in orders)
-        return _mean([expected_bound(replace(setup, programme=p), gyros=gyros, terms=terms) for p in programmes])
+        rng, bounds = np.random.default_rng(0), list[Bound]()
+        for _ in range(ORDERS):
+            order = rng.permutation(len(setup.programme.positions)).tolist()
+            positions = tuple(setup.programme.positions[i] for i in order)
+            ordered = replace(setup, programme=replace(setup.programme, positions=positions, ordered=True))
+            bounds.append(expected_bound(ordered, gyros=gyros, terms=terms))
+        return _mean(bounds)
     course = itinerary_of(setup).as_logged(setup.ramp, USUAL.margin_of(setup.rest))
     return _bound_of_course(course, setup, gyros=gyros, terms=terms)
 
@@ -162,17 +160,20 @@ def _bound_of_course(course: Itinerary | Motion, setup: Setup, *, gyros: bool, t
     if not groups:
         return bound
     rows = linearised_course(course, replace(setup, further=groups), gyros=gyros).with_components(full.components)
-    sources, covariance, shift = dict(bound.sources), bound.covariance, shift_by_likelihood(rows)
+    shift, sizes = shift_by_likelihood(rows), full.problem.prior_u[1:]
+    covariance = bound.covariance
+    sources = dict(bound.sources)
     for name in groups:
-        members, sizes = rows.problem.instrument.members[name], full.problem.prior_u[1:]
-        by_group = shift[:, members.start - bound.linear : members.stop - bound.linear]
-        by_group = by_group * sizes[full.problem.instrument.members[name]]
-        covariance, sources[name] = covariance + by_group @ by_group.T, (by_group**2).sum(axis=1)
+        members = rows.problem.instrument.members[name]
+        by_member = shift[:, members.start - bound.linear : members.stop - bound.linear]
+        by_member = by_member * sizes[full.problem.instrument.members[name]]
+        covariance = covariance + by_member @ by_member.T
+        sources[name] = (by_member**2).sum(axis=1)
     return replace(bound, covariance=covariance, sources=sources)
 
 
 def _mean(bounds: list[Bound]) -> Bound:
-    """Return the mean of bounds."""
+    """Return the mean of bounds of one instrument, with the undetermined combinations of the first."""
     return replace(
         bounds[0],
         covariance=np.mean([each.covariance for each in bounds], axis=0),
@@ -187,7 +188,7 @@ def instrument_of(setup: Setup, gyros: bool) -> Instrument:
 
 
 def bound_by(rows: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
-    """Return the covariance of the parameters by a linearised likelihood of one session.
+    """Return the covariance of the parameters from a linearised likelihood of one session.
 
     Parameters
     ----------
@@ -200,34 +201,34 @@ def bound_by(rows: Linearisation, rate: float, clock_u: float = 0.0) -> Bound:
     """
     problem, instrument = rows.problem, rows.problem.instrument
     linear, m = instrument.linear_count, len(instrument.names)
-    parts = {name: covariance[1:, 1:] for name, covariance in contributions(solve(rows.with_priors(problem))).items()}
-    covariance = np.sum(list(parts.values()), axis=0)
+    by_source = contributions(solve(rows.with_priors(problem)))
+    covariance = np.sum(list(by_source.values()), axis=0)[1:, 1:]
 
     # combinations with a u of more than 1/DETERMINED of their spread are undetermined
     spread, of_linear = problem.spread[:linear], covariance[:linear, :linear]
     variance, vectors = np.linalg.eigh(of_linear / np.outer(spread, spread))
     undetermined = vectors[:, variance > DETERMINED**-2].T
+    observable = np.ones(m, dtype=bool)
+    observable[:linear] = np.sqrt((undetermined**2).sum(axis=0)) < UNOBSERVABLE_SHARE
     natural_sizes = {"m/s^2": problem.observations.site.gravity, "rad/s": rate, "1": 1.0, "rad": 1.0}
     natural = np.array([natural_sizes[unit] for unit in instrument.units[:linear]])
     null = undetermined * spread / natural
-    lengths = np.sqrt(np.linalg.eigvalsh(of_linear / np.outer(natural, natural)))
+    axes = np.sqrt(np.linalg.eigvalsh(of_linear / np.outer(natural, natural)))  # of the ellipsoid of uncertainty
 
     # the time base affects the scale factors of sensors that read rates, not of those that read increments
     clock = clock_errors(instrument.names, clock_effects(clock_u, {"accel": False, "gyro": False}))
     covariance = covariance + np.outer(clock, clock)
-    priors = {name: f"prior.{name}" for name in instrument.members}
-    sources = {name: np.diag(parts[part]) for name, part in {GRAVITY: "gravity", **priors}.items() if part in parts}
+    key_of = {GRAVITY: "gravity"} | {name: f"prior.{name}" for name in instrument.members}
+    sources = {name: np.diag(by_source[key])[1:] for name, key in key_of.items() if key in by_source}
     sources[CLOCK] = clock**2
     return Bound(
         names=instrument.names,
         units=instrument.units,
         linear=linear,
         covariance=covariance,
-        observable=np.append(
-            np.sqrt((undetermined**2).sum(axis=0)) < UNOBSERVABLE_SHARE, np.ones(m - linear, dtype=bool)
-        ),
+        observable=observable,
         null=null / np.linalg.norm(null, axis=1, keepdims=True),
-        condition=np.inf if len(null) else float(lengths[-1] / lengths[0]),
+        condition=np.inf if len(null) else float(axes[-1] / axes[0]),
         sources={NOISE: np.maximum(np.diag(covariance) - sum(sources.values()), 0.0), **sources},
     )
 
@@ -243,19 +244,22 @@ def components_of(noise: NoiseModel) -> VarianceComponents:
 def _with_drifts(rows: Linearisation, further: Mapping[str, float]) -> VarianceComponents:
     """Return in-run biases that include the drift of sensors, if the estimate has no group for it.
 
-    A drift d over a session of length T has the variance σ₁² = (d T)²/12 and changes by d Δt from rest to rest, as a
-    process with τ₁ = 2 σ₁²/(d² Δt) does. The variances add up, and so do those of the changes, 2 σ² Δt/τ."""
+    A drift d over a session of length T has the variance (d T)²/12 and changes by d Δt from rest to rest. The process
+    in its place has the sum of this variance and that of the bias, and of the variances of the changes from rest to
+    rest: σ² = σ_b² + (d T)²/12 and 2 σ² Δt/τ = 2 σ_b² Δt/τ_b + (d Δt)²."""
     observations, components = rows.problem.observations, rows.components
     rests, links = observations.rests, observations.links
     middle = 0.5 * (rests.start + rests.stop) if links is None else links.time
-    length, interval = float(np.ptp(middle)), float(np.median(np.diff(middle))) if len(middle) > 1 else 0.0
+    length = float(np.ptp(middle))
+    interval = float(np.median(np.diff(middle))) if len(middle) > 1 else 0.0
     for kind in ("accel", "gyro"):
-        drift, size = further.get(f"{kind}.bias.drift", 0.0), getattr(components, f"{kind}_in_run")
+        drift = further.get(f"{kind}.bias.drift", 0.0)
         if drift == 0.0 or f"{kind}.bias.drift" in observations.usual:
             continue
-        change2 = size**2 / getattr(components, f"{kind}_time") + 0.5 * drift**2 * interval
+        size, time = getattr(components, f"{kind}_in_run"), getattr(components, f"{kind}_time")
         variance = size**2 + (drift * length) ** 2 / 12.0
-        process: dict[str, Any] = {f"{kind}_in_run": math.sqrt(variance), f"{kind}_time": variance / change2}
+        variance_over_time = size**2 / time + 0.5 * drift**2 * interval
+        process: dict[str, Any] = {f"{kind}_in_run": math.sqrt(variance), f"{kind}_time": variance / variance_over_time}
         components = replace(components, **process)
     return components
 
@@ -272,7 +276,7 @@ def linearised_course(course: Itinerary | Motion, setup: Setup, *, gyros: bool) 
     ):
         if level == 0.0 and (gyros or sensors == "accelerometers"):
             raise InputError(f"noise: expected {sensors} with noise, found none; without it there is no bound")
-    instrument, about, components = instrument_of(setup, gyros), None, components_of(noise)
+    instrument, components = instrument_of(setup, gyros), components_of(noise)
     if isinstance(course, Motion):
         assert instrument.gyro is not None
         observations, attitudes = observed_in_motion(course, setup, instrument.gyro)
@@ -288,7 +292,8 @@ def linearised_course(course: Itinerary | Motion, setup: Setup, *, gyros: bool) 
         in_run={"accel": noise.accel_instability, "gyro": noise.gyro_instability},
     )
     problem = Problem.of(observations, instrument=instrument, usual=usual)
-    values, still = np.zeros(len(instrument.names)), np.zeros((len(attitudes) if problem.moves else 0, 3))
+    values = np.zeros(len(instrument.names))
+    still = np.zeros((len(attitudes) if problem.moves else 0, 3))
     point = Point(
         values=values,
         gravity=setup.gravity,
@@ -297,15 +302,16 @@ def linearised_course(course: Itinerary | Motion, setup: Setup, *, gyros: bool) 
         velocities=still,
         displacements=still,
     )
-    if observations.turns is not None:
-        about = IntegratedTurns.of(observations, instrument, values)
-    return linearise(problem, point, about, components)
+    turns = None if observations.turns is None else IntegratedTurns.of(observations, instrument, values)
+    return linearise(problem, point, turns, components)
 
 
 def _observed_on_table(course: Itinerary, setup: Setup, instrument: Instrument) -> Observations:
     """Return the observations of rests and turns by perfect sensors with white noise."""
-    turns, samples, noise, gyros = None, None, setup.noise, instrument.gyro is not None
-    earth, g, first = np.array(earth_rate(setup.latitude)), setup.gravity, course.first
+    noise, g = setup.noise, setup.gravity
+    earth = np.array(earth_rate(setup.latitude))
+    gyros, first = instrument.gyro is not None, course.first
+    turns, samples = None, None
     if gyros and len(first) > 0:
         start, still, T = course.attitudes[first], course.still[first], course.seconds
         vector = inertial_turns(start, course.attitudes[first + 1], course.moves[first], T, setup.latitude)
@@ -335,32 +341,42 @@ def with_expected_sizes(rows: Linearisation) -> Linearisation:
 
     `rows` are at perfect sensors, with the noise of the set-up."""
     problem, components, solution = rows.problem, rows.components, solve(rows)
-    usual, sizes_of_noise, products = problem.prior_u[1:], dict[str, Any](), _products(solution)
+    products = _products(solution)
     hyperparameters = hyperparameters_of(problem, rows.noise, products > 0.0)
-    for h, learned in zip(hyperparameters, quadratic_forms(hyperparameters, solution)[1].tolist(), strict=True):
+
+    sizes_of_noise: dict[str, Any] = {}
+    for h, trace in zip(hyperparameters, quadratic_forms(hyperparameters, solution)[1].tolist(), strict=True):
         if h.kind == "scatter":
             degrees = float(products[SCATTER.index(h.name)]) * h.usual**4
             if degrees > LEAST_DEGREES:
                 sizes_of_noise[h.name] = h.usual * _expected_scatter(degrees, of_turns=h.name in TURN_SCATTER)
         elif h.kind == "process" and solution.equations.wanders:
-            ones = np.ones(len(np.arange(rows.noise.unknowns)[h.members]) * len(problem.chain))
-            share = float(np.clip(learned / len(ones), 1e-6, 1.0 - 1e-6))
-            factor = _expected_size(ones, (1.0 - share) * ones, h.within, two_sided=True)[0]
+            states = np.ones(len(np.arange(rows.noise.unknowns)[h.members]) * len(problem.chain))
+            share = float(np.clip(trace / len(states), 1e-6, 1.0 - 1e-6))  # that the session determines, of a state
+            factor = _expected_size(states, (1.0 - share) * states, h.within, two_sided=True)[0]
             sizes_of_noise[h.name] = getattr(components, h.name) * float(factor)
     components = replace(components, **sizes_of_noise)
+
+    usual = problem.prior_u[1:]
     for _ in range(ROUNDS):
-        sizes, variances = problem.prior_u.copy(), np.diag(solve(rows.with_priors(problem), components).covariance)
+        sizes = problem.prior_u.copy()
+        variances = np.diag(solve(rows.with_priors(problem), components).covariance)
         for h in hyperparameters:
-            if h.kind != "group":
-                continue
-            s, size, v = usual[h.members], sizes[1:][h.members], variances[1:][h.members]
-            v = 1.0 / (1.0 / v - 1.0 / size**2 + 1.0 / s**2)  # with a prior of the usual size
-            learned = np.clip(1.0 - v / s**2, 0.0, 1.0)
-            larger = np.exp(2.0 * (2.0 * learned.sum() + h.within**-2) ** -0.5)
-            information = 2.0 * (larger * learned / (larger * learned + 1.0 - learned)).sum()
-            sizes[1:][h.members] = s * _expected_size(s, v, h.within) if information > INFORMATIVE_GROUP else s
+            if h.kind == "group":
+                s, precision = usual[h.members], 1.0 / variances[1:][h.members]
+                variance = 1.0 / (precision - 1.0 / sizes[1:][h.members] ** 2 + 1.0 / s**2)  # with a prior of size s
+                is_large = _information(s, variance, h.within) > INFORMATIVE_GROUP
+                sizes[1:][h.members] = s * _expected_size(s, variance, h.within) if is_large else s
         problem = replace(problem, prior_u=sizes)
     return replace(rows, problem=problem).with_components(components)
+
+
+def _information(usual: Array, variance: Array, within: float) -> float:
+    """Return twice the sum of 1 − u²/(λs)² over a group, whose parameters (k,) have the `variance` (k,) with a prior of
+    the `usual` size s, for a size λ as large as the session permits: one standard deviation of ln λ above 0."""
+    share = np.clip(1.0 - variance / usual**2, 0.0, 1.0)
+    factor2 = np.exp(2.0 * (2.0 * share.sum() + within**-2) ** -0.5)
+    return float(2.0 * (factor2 * share / (factor2 * share + 1.0 - share)).sum())
 
 
 def _products(solution: Solution) -> Array:
@@ -376,11 +392,11 @@ def _products(solution: Solution) -> Array:
 def _expected_scatter(degrees: float, *, of_turns: bool = False) -> float:
     """Return the root mean square of x = σ/s in the median session for ν `degrees` of freedom.
 
-    The prior is e^{−x}, that of turns (1 + x)⁻²."""
+    The prior p(x) is e^{−x}, that of turns (1 + x)⁻²."""
     x = np.linspace(0.0, 12.0, 4 * POINTS)
-    square = scipy.special.gammaincinv(0.5 * degrees, QUANTILES)[:, None] * 2.0  # χ²
-    log_density = -2.0 * np.log1p(x) if of_turns else -x
-    log_density = log_density - 0.5 * (degrees * np.log1p(x**2) + square / (1.0 + x**2))
+    chi2 = scipy.special.gammaincinv(0.5 * degrees, QUANTILES)[:, None] * 2.0
+    log_prior = -2.0 * np.log1p(x) if of_turns else -x
+    log_density = log_prior - 0.5 * (degrees * np.log1p(x**2) + chi2 / (1.0 + x**2))
     density = np.exp(log_density - log_density.max(axis=1, keepdims=True))
     return float(np.sqrt(np.median(density @ x**2 / density.sum(axis=1))))
 
@@ -388,21 +404,23 @@ def _expected_scatter(degrees: float, *, of_turns: bool = False) -> float:
 def _expected_size(usual: Array, variance: Array, within: float, *, two_sided: bool = False) -> Array:
     """Return the factor (k,) by which the priors of the parameters of a group are widened.
 
-    `usual` (k,) are their usual sizes and `variance` (k,) their variances; with `two_sided` it may be less than 1."""
+    `usual` (k,) are their usual sizes s, `variance` (k,) their variances with priors of these sizes, and `within` the
+    standard deviation of ln λ. With `two_sided` the factor may be less than 1."""
     s2 = usual**2
-    observed = 1.0 / np.maximum(1.0 / variance - 1.0 / s2, 1e-9 / s2)
-    p = np.linspace(-RANGE * within if two_sided else 0.0, RANGE * within, POINTS)
-    size2 = np.exp(2.0 * p)[:, None] * s2
-    drawn = (s2 + observed) * np.random.default_rng(0).standard_normal((len(QUANTILES), len(usual))) ** 2
-    log_likelihood = -0.5 * (np.log(size2 + observed).sum(axis=1) + drawn @ (1.0 / (size2 + observed)).T)
-    top = log_likelihood.max(axis=1, keepdims=True)
-    density = np.exp(log_likelihood - top - 0.5 * (p / within) ** 2)
+    v = 1.0 / np.maximum(1.0 / variance - 1.0 / s2, 1e-9 / s2)
+    y2 = (s2 + v) * np.random.default_rng(0).standard_normal((len(QUANTILES), len(usual))) ** 2
+    log_size = np.linspace(-RANGE * within if two_sided else 0.0, RANGE * within, POINTS)
+    size2 = np.exp(2.0 * log_size)[:, None] * s2  # λ²s²
+    log_likelihood = -0.5 * (np.log(size2 + v).sum(axis=1) + y2 @ (1.0 / (size2 + v)).T)
+    likelihood = np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
+    density = likelihood * np.exp(-0.5 * (log_size / within) ** 2)
     if not two_sided:  # half of the prior is on the usual size
-        density /= np.sqrt(0.5 * np.pi) * within / (p[1] - p[0])
-        density[:, 0] += np.exp(log_likelihood - top)[:, 0]
-    share, weight = size2 / (size2 + observed), density / density.sum(axis=1, keepdims=True)
-    mean = weight @ share
-    spread = weight @ share**2 - mean**2
-    mean_variance = np.mean(mean * observed + spread * drawn, axis=0)
-    larger = 1.0 / np.maximum(1.0 / mean_variance - 1.0 / observed, 1e-9 / s2) / s2
-    return np.asarray(np.sqrt(np.clip(larger, 0.0 if two_sided else 1.0, np.mean(weight @ np.exp(2.0 * p)))))
+        density /= np.sqrt(0.5 * np.pi) * within / (log_size[1] - log_size[0])
+        density[:, 0] += likelihood[:, 0]
+    weight = density / density.sum(axis=1, keepdims=True)
+    share = size2 / (size2 + v)  # the estimate is y times this, its variance v times this
+    mean_share = weight @ share
+    variance_of_share = weight @ share**2 - mean_share**2
+    mean_variance = np.mean(mean_share * v + variance_of_share * y2, axis=0)
+    factor2 = 1.0 / np.maximum(1.0 / mean_variance - 1.0 / v, 1e-9 / s2) / s2
+    return np.asarray(np.sqrt(np.clip(factor2, 0.0 if two_sided else 1.0, np.mean(weight @ np.exp(2.0 * log_size)))))

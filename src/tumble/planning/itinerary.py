@@ -6,8 +6,8 @@ its duration of T s, the attitude L₀ at its start and the Earth's rate Ω,
     ω = v/T,   C(t) = exp([ω×]t),   f(t) = g C(t)ᵀ L₀ᵀ exp([Ω×]t) e_U
 
 A recording without rests is of a device on a pivot or in the hand (`Motion`). It turns at RATE about an axis that
-changes within AXIS_TIME, and is displaced as usual there. The rows are those of the links from node to node
-(`tumble.reduction.turns.links`). Expected uncertainties are means over COURSES random motions.
+changes within AXIS_TIME, and moves by DISPLACEMENTS. The rows are those of the links from node to node, Eq. (41) of
+docs/explanation/mathematics.md. Expected uncertainties are means over COURSES random motions.
 """
 
 from __future__ import annotations
@@ -90,14 +90,8 @@ class Itinerary:
         """Return the itinerary as found in a log, where turns have ramps, s, and the segmentation adds a margin, s, at
         both ends of every rest to the turns."""
         later = np.append(0.0, ramp * np.cumsum(self.turned))
-        return Itinerary(
-            attitudes=self.attitudes,
-            rests=self.rests + later[:, None] + [margin, -margin],
-            moves=self.moves,
-            turned=self.turned,
-            still=np.where(self.turned, self.still + 0.5 * ramp + margin, 0.0),
-            positions=self.positions,
-        )
+        still = np.where(self.turned, self.still + 0.5 * ramp + margin, 0.0)
+        return replace(self, rests=self.rests + later[:, None] + [margin, -margin], still=still)
 
 
 def itinerary_of(setup: Setup) -> Itinerary:
@@ -109,9 +103,6 @@ def itinerary_of(setup: Setup) -> Itinerary:
         for move, by_shortest in zip(setup.programme.moves, shortest, strict=True)
     ]
     return Itinerary.through(attitudes, np.array(moves).reshape(-1, 3), setup)
-
-
-# Turns at a constant rate
 
 
 def inertial_turns(start: Array, end: Array, moves: Array, seconds: Array, latitude: float) -> Array:
@@ -176,16 +167,13 @@ def steady_samples(vector: Array, T: Array, start: Array, setup: Setup, still: A
     return TurnSamples(samples=samples, start=first, stop=first + rate.shape[1] - AHEAD)
 
 
-# Motion without rests
-
-
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Motion:
     """A recording of a device that is turned without rests."""
 
     held: Held
     seconds: float
-    course: int = 0  # number of the random motion
+    course: int = 0  # seed of the random motion
 
     def __post_init__(self) -> None:
         if not 2.0 * AXIS_TIME <= self.seconds <= LONGEST:
@@ -232,7 +220,8 @@ def motion_of(pivot: str | None, hand: str | None) -> Motion | None:
 def observed_in_motion(motion: Motion, setup: Setup, gyro: Block) -> tuple[Observations, Array]:
     """Return the observations of a motion by perfect sensors with the white noise of a set-up, and the attitudes
     (M, 3, 3) of its nodes."""
-    rng, links = np.random.default_rng(motion.course), round(motion.seconds / NODE_SECONDS)
+    rng = np.random.default_rng(motion.course)
+    links = round(motion.seconds / NODE_SECONDS)
     count, interval = MOTION_SAMPLES * links, NODE_SECONDS / MOTION_SAMPLES
     knots = math.ceil(motion.seconds / AXIS_TIME) + 3
     middle = interval * (np.arange(count) + 0.5)

@@ -1,12 +1,12 @@
 """Best next positions of a programme.
 
-The criterion is the mean square of u over weights, which are the wanted accuracies or by default the spreads of
+The criterion is the root mean square of u/w, where w are the wanted accuracies or by default the spreads of
 `tumble.inference.estimate`. A prior as wide as the spreads makes u finite while there are too few positions; later it
 has no effect. Drifts are left out, as the time of a position is not known.
 
-The elimination of the attitudes and in-run biases of all rests but the last leaves rows of those of the last and a
-triangle of the parameters (`tumble.inference.elimination`). Each candidate is then an elimination of two rests for any
-length of the programme. Of equally good candidates the first is taken; turns of the table come before other moves.
+The programme is eliminated once, Eq. (22): what remains are rows in the unknowns of its last rest and a triangle of the
+parameters. Each candidate is then an elimination of two rests, however long the programme is. Of equally good
+candidates the first is taken; turns of the table come before other moves.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 
 from tumble.errors import InputError
 from tumble.inference.elimination import fold
-from tumble.inference.normal_equations import eliminate_rests, rows_by_station, whitened_rows
+from tumble.inference.normal_equations import NormalEquations, eliminate_rests, rows_by_station, whitened_rows
 from tumble.planning.bounds import instrument_of, linearised_course
 from tumble.planning.itinerary import Itinerary, itinerary_of
 from tumble.planning.setup import Setup
@@ -76,15 +76,18 @@ class TurnTable:
 
         They are the indices (q,) of the ends, the rotation vectors (q, 3), and whether each is a turn (q,)."""
         vectors = rotation_vector(ends @ start.T)
-        angle, axes = np.linalg.norm(vectors, axis=1), [_AXES.index(letter) for letter in self.axes]
-        turned = (np.abs(vectors[:, axes]).max(axis=1) > angle - 1e-9) & (angle > 1e-9)
-        turned &= np.abs(vectors / self.step - np.round(vectors / self.step)).max(axis=1) < 1e-6
-        vectors = np.where(turned[:, None], self.step * np.round(vectors / self.step), vectors)
-        kinds = turned, turned & np.isclose(angle, np.pi), ~turned & (angle > 1e-9) & self.by_hand
-        one, two, three = (np.flatnonzero(kind) for kind in kinds)
-        places = np.concatenate([one, two, three])
-        moves = np.concatenate([vectors[one], -vectors[two], vectors[three]])
-        return places, moves, np.arange(len(moves)) < len(one) + len(two)
+        angle = np.linalg.norm(vectors, axis=1)
+        axes = [_AXES.index(letter) for letter in self.axes]
+        steps = np.round(vectors / self.step)
+        is_turn = (np.abs(vectors[:, axes]).max(axis=1) > angle - 1e-9) & (angle > 1e-9)
+        is_turn &= np.abs(vectors / self.step - steps).max(axis=1) < 1e-6
+        vectors = np.where(is_turn[:, None], self.step * steps, vectors)
+        turns = np.flatnonzero(is_turn)
+        half_turns = np.flatnonzero(is_turn & np.isclose(angle, np.pi))
+        others = np.flatnonzero(~is_turn & (angle > 1e-9) & self.by_hand)
+        places = np.concatenate([turns, half_turns, others])
+        moves = np.concatenate([vectors[turns], -vectors[half_turns], vectors[others]])
+        return places, moves, is_turn[places]
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -136,8 +139,6 @@ def next_positions(
         weight = np.array([wanted.get(group, np.inf) for group in groups])
     if not np.any(np.isfinite(weight)):
         raise InputError("wanted: expected an accuracy of parameters that are calibrated, found none")
-    gravity = 1.0 / setup.gravity_u if setup.gravity_u > 0.0 else 0.0
-    prior_rows = np.diag([gravity, *(1.0 / prior), 0.0])
 
     def criterion(triangles: Array) -> Array:
         """Return the rms (q,) of u over the weights, from triangles (q, m + 2, m + 2) of gravity and parameters."""
@@ -145,40 +146,57 @@ def next_positions(
         return np.asarray(np.sqrt((u**2).sum(axis=(1, 2)) / np.isfinite(weight).sum()))
 
     equations = eliminate_rests(linearised_course(itinerary_of(setup), setup, gyros=gyros))
-    d, last, triangle = equations.unknowns, equations.rest_factors[-1], prior_rows.copy()
+    gravity = 1.0 / setup.gravity_u if setup.gravity_u > 0.0 else 0.0
+    triangle = np.diag([gravity, *(1.0 / prior), 0.0])
     fold(equations.session_factors[0], triangle)
-    before = float(criterion(triangle[None])[0])
 
     end, table = setup.programme.positions[-1], table or TurnTable.of_programme(setup.programme)
     positions = table.positions(end)
     places, moves, turned = table.moves(end.matrix, np.array([position.matrix for position in positions]))
     if not len(places):
         return ()
-    # all candidates in one long session: pairs of rests without turns from pair to pair
-    pairs = np.stack([np.broadcast_to(end.matrix, (len(places), 3, 3)),
-                      np.array([positions[i].matrix for i in places])], axis=1)  # fmt: skip
-    apart = np.stack([moves, np.zeros_like(moves)], axis=1).reshape(-1, 3)[:-1]
-    rows_of_pairs = linearised_course(Itinerary.through(pairs.reshape(-1, 3, 3), apart, setup), setup, gyros=gyros)
-    whitened = whitened_rows(rows_of_pairs, rows_of_pairs.noise.whitening())
-    rest, turn = (rows[first::2] for rows, first in zip(rows_by_station(rows_of_pairs, whitened), (1, 0), strict=True))
-    t = d + turn.shape[1]
-    rows = np.zeros((len(places), t + rest.shape[1] + 2 * d, turn.shape[2]))
-    rows[:, :d, :d], rows[:, :d, 2 * d :] = last[:, :d], last[:, 2 * d :]
-    rows[:, d:t] = turn
-    rows[:, t : -2 * d, d : 2 * d], rows[:, t : -2 * d, 2 * d :] = rest[..., :d], rest[..., d:]
-    rows[:, -2 * d :, : 2 * d] = PRIOR_WEIGHT * np.eye(2 * d)
-    remaining = np.asarray(np.linalg.qr(rows, mode="r"))[:, 2 * d :, 2 * d :]
-    both = np.concatenate([np.broadcast_to(triangle, (len(places), *triangle.shape)), remaining], axis=1)
+    ends = np.array([positions[i].matrix for i in places])
+    rows = _rows_of_candidates(setup, equations, ends, moves, gyros=gyros)
+    both = np.concatenate([np.broadcast_to(triangle, (len(places), *triangle.shape)), rows], axis=1)
+    before = float(criterion(triangle[None])[0])
     values = criterion(np.asarray(np.linalg.qr(both, mode="r")))
+
     order = np.argsort(values, kind="stable")
-    alike = np.split(order, np.flatnonzero(np.diff(np.log(values[order])) > EQUAL) + 1)
-    return tuple(
-        NextPosition(
-            position=positions[places[i]],
-            move=Move(axis=np.eye(3)[component], angle=float(moves[i, component])) if turned[i] else ANY_MOVE,
-            as_good=others,
-            ratio=float(values[i] / before),
+    best = list[NextPosition]()
+    for alike in np.split(order, np.flatnonzero(np.diff(np.log(values[order])) > EQUAL) + 1):
+        i = int(alike.min())
+        axis = int(np.abs(moves[i]).argmax())
+        best.append(
+            NextPosition(
+                position=positions[places[i]],
+                move=Move(axis=np.eye(3)[axis], angle=float(moves[i, axis])) if turned[i] else ANY_MOVE,
+                as_good=len(alike) - 1,
+                ratio=float(values[i] / before),
+            )
         )
-        for i, others in ((int(each.min()), len(each) - 1) for each in alike)
-        for component in [int(np.abs(moves[i]).argmax())]
-    )
+    return tuple(best)
+
+
+def _rows_of_candidates(setup: Setup, equations: NormalEquations, ends: Array, moves: Array, *, gyros: bool) -> Array:
+    """Return the rows (q, r, m + 2) in gravity and the parameters that one more rest adds to an eliminated programme.
+
+    The rest is in the attitudes `ends` (q, 3, 3), after the moves (q, 3). All candidates are in one long session, as
+    pairs of the last rest of the programme and the new one, without turns from pair to pair. In the unknowns of the
+    first rest, of the second, and in x, the rows of a pair are
+
+        R  0  R_x      left by the elimination of the programme
+        turn
+        0  rest        of the second rest and x
+        small  0       prior of undetermined headings
+    """
+    pairs = np.stack([np.broadcast_to(setup.programme.positions[-1].matrix, ends.shape), ends], axis=1)
+    apart = np.stack([moves, np.zeros_like(moves)], axis=1).reshape(-1, 3)[:-1]
+    session = linearised_course(Itinerary.through(pairs.reshape(-1, 3, 3), apart, setup), setup, gyros=gyros)
+    at_rests, of_turns = rows_by_station(session, whitened_rows(session, session.noise.whitening()))
+    d, (q, _, width) = equations.unknowns, of_turns[::2].shape
+    of_programme = np.broadcast_to(equations.rest_factors[-1], (q, d, width)).copy()
+    of_programme[:, :, d : 2 * d] = 0.0
+    of_rest = np.pad(at_rests[1::2], ((0, 0), (0, 0), (d, 0)))
+    prior = np.broadcast_to(PRIOR_WEIGHT * np.eye(2 * d, width), (q, 2 * d, width))
+    rows = np.concatenate([of_programme, of_turns[::2], of_rest, prior], axis=1)
+    return np.asarray(np.linalg.qr(rows, mode="r"))[:, 2 * d :, 2 * d :]

@@ -17,11 +17,11 @@ and fourth moments of τ_k. Further passes reduce them as much as the second: (�
 
 A pass is the method itself (`tumble.methods.paper`) on the readings of sensors with the parameters X. It is smooth, and
 exact to rounding apart from products of Earth's rates in a turn, so that T₀, D, G and q are central differences. A turn
-is about one geographic axis at a constant rate. With its rotation vector v in the body at the start, and its part
-R(s) = exp(s [v_n×]) at 0 ≤ s ≤ 1 in the geographic frame, readings compensated by a model are S v + b T plus those of
-the Earth's rate, and integrate to
+is about one geographic axis at a constant rate, in a time Δt. Let v be its rotation vector in the body at the start,
+where the attitude is L₀, and R(s) = exp(s [L₀v×]) its part, 0 ≤ s ≤ 1. The readings S_g ω + b_g, compensated by a model
+S, b, are S̃ ω + b̃ with S̃ = S⁻¹S_g and b̃ = S⁻¹(b_g − b), and integrate to
 
-    C = exp([∫ exp(s [w×]) S L₀ᵀ R(s)ᵀ Ω T ds ×]) exp([w×]),   w = S v + b T
+    C = exp([∫ exp(s [w×]) S̃ L₀ᵀ R(s)ᵀ Ω Δt ds ×]) exp([w×]),   w = S̃ v + b̃ Δt
 
 Source: Vodicheva & Parysheva 2019, the equations that `tumble.methods.paper` names. Its accuracy formulas, one by one,
 are in studies/accuracy_formulas.py.
@@ -129,20 +129,21 @@ class PaperProgramme:
         Sensors have the parameters X (..., 21) and attitudes (..., N, 3, 3). Errors are `force` and `rate` at rest
         (..., N, 3), `drift` of the rates in turns (..., K, 3), and `turned` of the rotations (..., K, 3), rad."""
         accel, gyro = model_of(TRIAD, X[..., :9]), model_of(GYRO_TRIAD, X[..., 9:])
-        T, earth = self.course.duration[:, None], self.course.earth_rate
-        L0, L1 = (attitudes[..., rests, :, :] for rests in (self.first, self.first + 1))
-        vector = rotation_vector_near(L1 @ np.swapaxes(L0, -1, -2), self.moves)
-        body = (vector[..., None, :] @ L0)[..., 0, :]
-        by_earth = [T * (earth @ (rotation_matrix(node * vector) @ L0)) for node, _ in _NODES]
+        seconds, earth = self.course.duration[:, None], self.course.earth_rate
+        L0, L1 = attitudes[..., self.first, :, :], attitudes[..., self.first + 1, :, :]
+        vec_n = rotation_vector_near(L1 @ np.swapaxes(L0, -1, -2), self.moves)
+        vec_b = (vec_n[..., None, :] @ L0)[..., 0, :]
+        earth_b = [seconds * (earth @ (rotation_matrix(node * vec_n) @ L0)) for node, _ in _NODES]  # L₀ᵀ Rᵀ Ω Δt
 
         def turn(model: SensorModel) -> Array:
             inverse = model.inverse()
-            S_t, offset = np.swapaxes(inverse @ gyro.matrix, -1, -2), (gyro.bias - model.bias)[..., None, :] + drift
-            w = body @ S_t + T * (offset @ np.swapaxes(inverse, -1, -2))
-            ahead = np.zeros_like(w)
-            for (node, weight), there in zip(_NODES, by_earth, strict=True):
-                ahead += weight * (rotation_matrix(node * w) @ (there @ S_t)[..., None])[..., 0]
-            return np.asarray(rotation_matrix(ahead + turned) @ rotation_matrix(w))
+            S_T = np.swapaxes(inverse @ gyro.matrix, -1, -2)
+            bias = ((gyro.bias - model.bias)[..., None, :] + drift) @ np.swapaxes(inverse, -1, -2)
+            w = vec_b @ S_T + seconds * bias
+            by_earth = np.zeros_like(w)
+            for (node, weight), earth_at_node in zip(_NODES, earth_b, strict=True):
+                by_earth += weight * (rotation_matrix(node * w) @ (earth_at_node @ S_T)[..., None])[..., 0]
+            return np.asarray(rotation_matrix(by_earth + turned) @ rotation_matrix(w))
 
         rests = accel.predict(self.gravity * attitudes[..., 1, :]) + force, gyro.predict(earth @ attitudes) + rate
         start, integrated = (PERFECT_TRIAD, PERFECT_TRIAD), turn if len(self.first) else None
@@ -245,10 +246,12 @@ class PassErrors:
         second = self._by_group("{} left by the pass before", fixed + scale**2 * linear + scale**4 * square)
         if iteration == 2:
             return second
-        gain, first = np.zeros(len(NAMES)), np.sum([*self.methodical(1, scale).values()], axis=0)
+        # a further pass reduces the variance of a group as much as the second one does
+        after_first, after_second = (np.sum([*self.methodical(i, scale).values()], axis=0) for i in (1, 2))
+        gain = np.zeros(len(NAMES))
         for members in MEMBERS.values():
-            before = float(np.mean(first[members]))
-            gain[members] = np.mean(np.sum([*second.values()], axis=0)[members]) / before if before > 0.0 else 0.0
+            before = float(np.mean(after_first[members]))
+            gain[members] = np.mean(after_second[members]) / before if before > 0.0 else 0.0
         return {name: gain ** (iteration - 2) * variance for name, variance in second.items()}
 
     def of_group(self, group: str, variances: Mapping[str, Array]) -> dict[str, float]:

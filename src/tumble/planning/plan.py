@@ -3,9 +3,9 @@
 With the method `joint` (`tumble.planning.bounds.expected_bound`), a wanted accuracy requires longer rests, or more
 positions, each the best next one; errors of table and mounting have no effect. With the methods of the turntable paper,
 whose accuracy formulas are in `tumble.planning.pass_errors`, it requires tolerances of table and mounting and a
-duration T of rests. Shorter rests than `calibrate` finds (`least_rest`) are refused, and never required. With the
-wanted u w, the variance f² that no table changes, that of rest noise n²/T, and the part d(s)² by s times the errors of
-table and mounting,
+duration T of rests. Shorter rests than `calibrate` finds (`least_rest`) are refused, and never required. Let w be the
+wanted u, f² the variance that neither the table nor longer rests change, n²/T that of noise at rest, and d(s)² the
+variance by s times the errors of table and mounting. Then T and s are such that
 
     n²/T = ¼ (w² − f²),   d(s)² = ¾ (w² − f²)
 """
@@ -45,14 +45,15 @@ NEXT = 5  # next positions in a plan
 MOST_ADDED = 30  # positions that are added to a programme for a wanted accuracy
 LONGEST_REST = 3600.0  # s: that an operator waits for
 REST_SHARE = 0.25  # of the permitted variance for the noise of rests; the rest is for table and mounting
-_REMEDY: Mapping[str, str] = {
+# What to do about the largest source where no set-up gives a wanted accuracy
+REMEDIES: Mapping[str, str] = {
     GRAVITY: "measure gravity",
     CLOCK: "state how good the time base is (clock_ppm_u)",
     "gyro noise in turns": "turn faster, or average launches",
     "accelerometer instability": "average launches",
     "gyro instability": "average launches",
     "second order in the parameters": "take another pass",
-}  # of the largest source, where no set-up gives a wanted accuracy
+}
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -198,7 +199,7 @@ def plan(
     if method != "joint" and not gyros:
         raise InputError(f"gyros: expected True with the method {method}, found False; take the method joint")
 
-    def state(setup: Setup) -> Bound:
+    def bound_of(setup: Setup) -> Bound:
         return expected_bound(setup, gyros=gyros, terms=terms, motion=motion)
 
     def following(setup: Setup, wanted: Mapping[str, float]) -> tuple[NextPosition, ...]:
@@ -213,15 +214,15 @@ def plan(
             raise InputError(f"wanted: expected some of {', '.join(calibrated)}, found {group!r}")
     groups, missing, particular = list[PlannedGroup](), list[str](), dict[str, Any]()
     if errors is None:
-        bound = state(setup)
+        bound = bound_of(setup)
         groups += _groups_of(bound, setup)
         if undetermined := in_words(bound.null, bound.names):
             undetermined.sort(key=lambda text: [name not in text for name in bound.names])
             missing.append(f"not determined: {', '.join(undetermined)}")
-        counts = _positions_needed(wanted, setup, state, following, progress)
-        requirements = [_joint_requirement(group, w, setup, state, counts.get(group)) for group, w in wanted.items()]
+        counts = _positions_needed(wanted, setup, bound_of, following, progress)
+        requirements = [_joint_requirement(group, w, setup, bound_of, counts.get(group)) for group, w in wanted.items()]
         positions = tuple(
-            replace(one, u={row.group: row.u for row in _groups_of(state(one.added(setup)), setup)})
+            replace(one, u={row.group: row.u for row in _groups_of(bound_of(one.added(setup)), setup)})
             for one in following(setup, wanted)[:NEXT]
         )
         particular = {"rank": bound.rank, "condition": bound.condition, "following": positions, "motion": motion}
@@ -334,9 +335,6 @@ def _impossible(row: Requirement, least: float, how: str, remedy: str) -> Requir
     return replace(row, reason=f"{row.group}: expected {expected}, found {found}; {remedy}")
 
 
-# The method joint
-
-
 def _groups_of(found: Bound, setup: Setup) -> list[PlannedGroup]:
     return _planned_groups(found.names, found.u, found.sources, setup)
 
@@ -344,7 +342,7 @@ def _groups_of(found: Bound, setup: Setup) -> list[PlannedGroup]:
 def _positions_needed(
     wanted: Mapping[str, float],
     setup: Setup,
-    state: Callable[[Setup], Bound],
+    bound_of: Callable[[Setup], Bound],
     following: Callable[[Setup, Mapping[str, float]], tuple[NextPosition, ...]],
     progress: Progress,
 ) -> dict[str, int]:
@@ -353,7 +351,7 @@ def _positions_needed(
     The search ignores accuracies that gravity and time base make impossible."""
     counts, remaining = dict[str, int](), dict(wanted)
     for added in range(MOST_ADDED + 1 if wanted else 0):
-        rows = {row.group: row for row in _groups_of(state(setup), setup)}
+        rows = {row.group: row for row in _groups_of(bound_of(setup), setup)}
         for group, value in wanted.items():
             if rows[group].u <= value:
                 counts.setdefault(group, len(setup.programme.positions))
@@ -369,39 +367,41 @@ def _positions_needed(
 
 
 def _joint_requirement(
-    group: str, wanted: float, setup: Setup, state: Callable[[Setup], Bound], positions: int | None
+    group: str, wanted: float, setup: Setup, bound_of: Callable[[Setup], Bound], positions: int | None
 ) -> Requirement:
-    """Return the shortest rests, to 1 %, that give a wanted accuracy. u decreases with the duration of rests until
-    in-run instability, gravity, other groups or drifts dominate."""
+    """Return the shortest rests, to 1 %, that give a wanted accuracy.
+
+    u decreases with the duration of rests until in-run instability, gravity, other groups or drifts dominate. The
+    duration is doubled until it suffices, and the last interval halved, in the logarithm."""
 
     def u(rest: float) -> float:
-        return state(replace(setup, rest=rest)).rms(group)
+        return bound_of(replace(setup, rest=rest)).rms(group)
 
     row = Requirement(group=group, unit=UNITS[group], wanted=wanted, u=u(setup.rest), positions=positions)
     least = least_rest(setup)
-    rests = [min(2.0**i * least, LONGEST_REST) for i in range(math.ceil(math.log2(LONGEST_REST / least)) + 1)]
-    tried = dict[float, float]()
-    for rest in rests:
+    doublings = math.ceil(math.log2(LONGEST_REST / least))
+    too_short = dict[float, float]()  # u by rest
+    for rest in (min(2.0**i * least, LONGEST_REST) for i in range(doublings + 1)):
         if (found := u(rest)) <= wanted:
-            short = max(tried, default=rest)
-            while rest > 1.01 * short:
-                middle = math.sqrt(short * rest)
-                short, rest = (short, middle) if u(middle) <= wanted else (middle, rest)
-            return replace(row, rest=rest, reached=u(rest))
-        tried[rest] = found
+            short, enough = max(too_short, default=rest), rest
+            while enough > 1.01 * short:
+                middle = math.sqrt(short * enough)
+                if u(middle) <= wanted:
+                    enough = middle
+                else:
+                    short = middle
+            return replace(row, rest=enough, reached=u(enough))
+        too_short[rest] = found
     if positions is not None:
         return row
-    longest = min(tried, key=lambda rest: tried[rest])
-    if math.isinf(tried[longest]):
+    rest = min(too_short, key=lambda rest: too_short[rest])
+    if math.isinf(too_short[rest]):
         return replace(row, reason=f"{group}: this programme does not determine it; take another one")
-    best = replace(setup, rest=longest)
-    cause = next(each.largest for each in _groups_of(state(best), best) if each.group == group)
-    remedy = _REMEDY.get(cause, "average launches, or take a better grade")
-    how = f"the method joint states with rests of {longest:.0f} s (mostly {cause}), and no {MOST_ADDED} more positions"
-    return _impossible(row, tried[longest], f"{how} give", remedy)
-
-
-# The methods of the paper
+    best = replace(setup, rest=rest)
+    cause = next(each.largest for each in _groups_of(bound_of(best), best) if each.group == group)
+    remedy = REMEDIES.get(cause, "average launches, or take a better grade")
+    how = f"the method joint states with rests of {rest:.0f} s (mostly {cause}), and no {MOST_ADDED} more positions"
+    return _impossible(row, too_short[rest], f"{how} give", remedy)
 
 
 def _paper_requirement(planned: PlannedGroup, wanted: float, errors: PassErrors) -> Requirement:
@@ -409,26 +409,29 @@ def _paper_requirement(planned: PlannedGroup, wanted: float, errors: PassErrors)
     from scipy.optimize import brentq
 
     group, setup = planned.group, errors.setup
-
-    def by_deviations(scale: float) -> float:
-        return sum(errors.of_group(group, errors.methodical(planned.iteration, scale)).values())
-
     noise = errors.of_group(group, errors.noise)
-    rest_noise = setup.rest * sum(noise.pop(name) for name in REST_NOISE)
-    fixed = errors.of_group(group, errors.methodical(planned.iteration, 0.0)) | noise
-    least, floor = sum(fixed.values()), by_deviations(0.0)
-    free = wanted**2 - least
+    rest_noise = setup.rest * sum(noise.pop(name) for name in REST_NOISE)  # n²
+    exact_table = errors.of_group(group, errors.methodical(planned.iteration, 0.0))
+    of_exact_table = sum(exact_table.values())
+    fixed = exact_table | noise
+    fixed_variance = sum(fixed.values())  # f²
+
+    def by_table(scale: float) -> float:  # d(s)²
+        return sum(errors.of_group(group, errors.methodical(planned.iteration, scale)).values()) - of_exact_table
+
+    free = wanted**2 - fixed_variance
     row = Requirement(group=group, unit=planned.unit, wanted=wanted, u=planned.u)
     if free <= 0.0:
         cause = max(fixed, key=lambda name: fixed[name])
-        remedy = _REMEDY.get(cause, "take another pass or method")
-        return _impossible(row, math.sqrt(least), f"an exact table and endless rests leave (mostly {cause})", remedy)
-    permitted = (1.0 - REST_SHARE) * free if rest_noise > 0.0 else free
+        remedy = REMEDIES.get(cause, "take another pass or method")
+        how = f"an exact table and endless rests leave (mostly {cause})"
+        return _impossible(row, math.sqrt(fixed_variance), how, remedy)
     rest = max(rest_noise / (REST_SHARE * free), least_rest(setup))
+    permitted = (1.0 - REST_SHARE) * free if rest_noise > 0.0 else free
     largest = max(largest_errors(setup)) / max(setup.table_error, setup.mounting_error)
-    by_table = min(by_deviations(largest) - floor, permitted)
-    row = replace(row, rest=rest, reached=math.sqrt(least + rest_noise / rest + by_table))
-    if by_table < permitted:
+    reached = min(by_table(largest), permitted)
+    row = replace(row, rest=rest, reached=math.sqrt(fixed_variance + rest_noise / rest + reached))
+    if reached < permitted:
         return row
-    scale = float(brentq(lambda x: by_deviations(x) - floor - permitted, 0.0, largest, rtol=1e-9))
+    scale = float(brentq(lambda scale: by_table(scale) - permitted, 0.0, largest, rtol=1e-9))
     return replace(row, table_error=scale * setup.table_error, mounting_error=scale * setup.mounting_error)

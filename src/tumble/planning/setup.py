@@ -21,7 +21,7 @@ from tumble.arguments import checked
 from tumble.brief import Brief
 from tumble.earth import normal_gravity
 from tumble.errors import InputError
-from tumble.programme.positions import Programme, duration
+from tumble.programme.positions import Programme, timetable
 from tumble.programme.positions import programme as built_in
 from tumble.recording.session import USUAL_CLOCK_U
 from tumble.sensors.grades import GRADES, NoiseModel, Spread, Spreads
@@ -49,9 +49,9 @@ class Setup(Spreads, Brief):
     by_hand : int or None
         Number of positions in random attitudes by hand, instead of the programme.
     table_error, mounting_error : float
-        Largest errors of every position and of the whole launch, uniform within ± about each axis; not by hand.
+        Largest rotation about each axis, uniform within ±, of every position and of the whole launch; none by hand.
     first_rest, ramp : float
-        Least duration of the first rest, and time in which turns reach and leave their rate.
+        Least duration of the first rest, and time in which turns reach, and again leave, their rate.
     instrument : str
         A grade, or the name of another instrument.
     accel, gyro, further
@@ -148,8 +148,8 @@ class Setup(Spreads, Brief):
 
 
 def time_of(programme: Programme, setup: Setup) -> float:
-    """Return the duration of a programme on the table of a set-up, s."""
-    return duration(programme, rest=setup.rest, rate=setup.turn_rate, move=usual_setup.MOVE)
+    """Return the duration of a programme on the table of a set-up, s, to the end of its last rest."""
+    return float(timetable(programme, rest=setup.rest, rate=setup.turn_rate, move=usual_setup.MOVE)[-1, 1])
 
 
 def with_all_groups(setup: Setup) -> Setup:
@@ -198,7 +198,7 @@ def wanted_accuracies(texts: Sequence[str]) -> dict[str, float]:
 
 
 def expect(name: str, value: float, *, least: Literal["more than 0", "0 or more"]) -> None:
-    """Raise InputError unless a value, SI, is finite and not less than `least`."""
+    """Raise InputError unless a value, SI, is `least`, and zero or between 1/LARGEST and LARGEST."""
     if not (0.0 < value < math.inf or (value == 0.0 and least == "0 or more")):
         raise InputError(f"{name}: expected {least}, in SI, found {value:g}")
     if value != 0.0 and not 1.0 / LARGEST <= value <= LARGEST:

@@ -194,11 +194,6 @@ def timetable(programme: Programme, *, rest: float, rate: float, move: float) ->
     return np.column_stack([starts, starts + rest])
 
 
-def duration(programme: Programme, *, rest: float, rate: float, move: float) -> float:
-    """Return the duration of a programme, s, to the end of its last rest, see `timetable`."""
-    return float(timetable(programme, rest=rest, rate=rate, move=move)[-1, 1])
-
-
 def _position(code: str) -> Position:
     """Return an attitude with its label, the body axes above and below the horizon: "X up", "X 45° up, Y 45° down"."""
     matrix, label = attitude(code), list[str]()

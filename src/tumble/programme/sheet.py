@@ -73,12 +73,8 @@ def svg_picture(left: float, top: float, width: float, height: float, *content: 
     return element("svg", *content, xmlns="http://www.w3.org/2000/svg", viewBox=box, font_family=font)
 
 
-# -------------------- pictures --------------------
-
 SCALE = 50.0  # pixels of SVG in a unit of length
-
 AXIS = 1.4  # length of the arrow of a body axis, from the middle of the cube to its tip
-
 CUBE = 0.43  # half an edge of the cube
 
 
@@ -96,10 +92,10 @@ VIEW = _view(22.0 * DEGREE, 42.0 * DEGREE)  # geographic (N, U, E) → picture (
 BODY_COLOURS = {"X": "#c0392b", "Y": "#2e8b57", "Z": "#2c5fa8"}
 _TURN_COLOUR = "#7d3c98"
 GREY = "#555555"
-_LIGHT = np.array([-0.35, 0.75, 0.56])
-_HEAD, _HEAD_RADIUS = 0.34, 0.115
-_RING, _RING_RADIUS, _RING_HEAD = 1.52, 0.3, 0.5
-HALF = 1.86 * SCALE
+_LIGHT = np.array([-0.35, 0.75, 0.56])  # direction of the light, in picture coordinates
+_HEAD, _HEAD_RADIUS = 0.34, 0.115  # length and radius of the cone at the tip of an arrow
+_RING, _RING_RADIUS, _RING_HEAD = 1.52, 0.3, 0.5  # of a turn: distance and radius of its arc, and its head, rad
+HALF = 1.86 * SCALE  # half a side of a picture, pixels
 _BEHIND = 1e-6  # an axis of a turn is drawn before the body axis along it
 _MOST_OF_A_RING = 300.0 * DEGREE
 

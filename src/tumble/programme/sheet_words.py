@@ -49,13 +49,11 @@ def sheet_rows(
         if not programme.ordered:  # the number of axes off the horizon shows what the block stands on
             upright = np.count_nonzero(np.abs(position.vertical_b) > _OFF_THE_HORIZON)
             how = ("on a face", "on an edge", "on a corner")[upright - 1]
-        points, code = points_of(position), short_code(position.attitude)
-        rows.append(
-            SheetRow(
-                number=len(rows) + 1, position=position, move=reached, how=how, attitude=code, points=points,
-                start=start, stop=stop,
-            )
+        row = SheetRow(
+            number=len(rows) + 1, position=position, move=reached, how=how, attitude=short_code(position.attitude),
+            points=points_of(position), start=start, stop=stop,
         )  # fmt: skip
+        rows.append(row)
     return tuple(rows)
 
 

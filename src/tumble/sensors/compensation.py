@@ -54,11 +54,11 @@ def angular_rate(instrument: Instrument, values: Array, readings: Array, force: 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Solver:
-    """A block of sensors as the compiled loops solve it.
+    """A block of sensors in the form of the compiled loops.
 
-    `sheet`: coefficients of its sensors (n, WIDTH). `steps`: number of fixed-point steps x ← S⁻¹ ((ŷ − b − nonlinear
-    terms) / s), one for linear sensors. `of_force`: whether x is the specific force. `feels`: whether the sensors
-    respond to the other vector, which may be missing if they do not."""
+    `sheet` (n, WIDTH): coefficients of its sensors, in the columns that fixed_point.pyx describes. `steps`: number of
+    iterations x ← S⁻¹ ((ŷ − b − nonlinear terms) / s), one for linear sensors. `of_force`: whether the measured vector
+    x is the specific force. `feels`: whether the sensors also respond to the other vector, rate or specific force."""
 
     sheet: Array
     steps: int
@@ -71,27 +71,32 @@ class Solver:
 
         `thermal` (n, 7): reference temperatures, °C, and changes of biases and of scale factors per K, K² and K³.
         `levers` (n, 3): lever arms, m."""
-        of_force, measured = block.kind == "accel", measured_by(block)
+        of_force = block.kind == "accel"
+        sensitivity = K[:, measured_by(block)]
         sheet = np.zeros((block.size, WIDTH))
         sheet[:, :FUNCTIONS] = K
-        sheet[:, measured] = 0.0
-        sheet[:, INVERSE:AXIS], sheet[:, AXIS:REFERENCE] = left_inverse(K[:, measured]).T, block.axes
+        sheet[:, measured_by(block)] = 0.0  # what remains of K is subtracted from readings
+        sheet[:, INVERSE:AXIS] = left_inverse(sensitivity).T
+        sheet[:, AXIS:REFERENCE] = block.axes
         if thermal is not None:
             sheet[:, REFERENCE:LEVER] = thermal
-            sheet[:, CHANGES + len(THERMAL) : LEVER] /= np.linalg.norm(K[:, measured], axis=1)[:, None]
+            sheet[:, CHANGES + len(THERMAL) : LEVER] /= np.linalg.norm(sensitivity, axis=1)[:, None]
         if levers is not None:
-            sheet[:, LEVER:SENSITIVITY], sheet[:, SENSITIVITY:ACROSS] = levers, K[:, measured]
-            sheet[:, ACROSS:ALONG] = np.cross(levers, K[:, measured])
-            sheet[:, ALONG] = np.sum(levers * K[:, measured], axis=1)
-        along_axes, products = bool(np.any(sheet[:, OWN_SIZE : OWN_CUBE + 1])), bool(np.any(sheet[:, PRODUCTS]))
+            sheet[:, LEVER:SENSITIVITY] = levers
+            sheet[:, SENSITIVITY:ACROSS] = sensitivity
+            sheet[:, ACROSS:ALONG] = np.cross(levers, sensitivity)
+            sheet[:, ALONG] = np.sum(levers * sensitivity, axis=1)
+        along_axes = bool(np.any(sheet[:, OWN_SIZE : OWN_CUBE + 1]))
+        products = bool(np.any(sheet[:, PRODUCTS]))
         feels = bool(np.any(sheet[:, RATE if of_force else FORCE])) or (products and not of_force)
         linear = not along_axes and not (products and of_force)
         return Solver(sheet=sheet, steps=1 if linear else 1 + FIXED_POINT_STEPS, of_force=of_force, feels=feels)
 
     def solved(self, readings: Array, other: Array | None = None, temperature: Array | None = None) -> Array:
-        """Return the measured vector (N, 3) from readings (N, n), the other vector, (N, 3) or (3,), and temperatures,
-        (N, n) or (N, 1), °C, by default the reference."""
-        sheet, (count, n) = self.sheet, readings.shape
+        """Return the measured vector (N, 3) from readings (N, n), the other vector, (N, 3) or (3,), by default zero,
+        and temperatures, (N, n) or (N, 1), °C, by default the reference."""
+        sheet = self.sheet
+        count, n = readings.shape
         if temperature is None and self.steps == 1 and not self.feels:
             return np.asarray((readings - sheet[:, CONSTANT]) @ sheet[:, INVERSE:AXIS])
         celsius = sheet[:, REFERENCE] if temperature is None else temperature
@@ -138,7 +143,8 @@ class Compensator:
             K = np.zeros((0, FUNCTIONS))
             if block is not None and model is not None:
                 K = instrument.coefficients(block, further).copy()
-                K[:, measured_by(block)], K[:, CONSTANT] = model.matrix, K[:, CONSTANT] + model.bias
+                K[:, measured_by(block)] = model.matrix
+                K[:, CONSTANT] += model.bias
             coefficients.append(K)
         return Compensator(
             accel=accel,

@@ -1,8 +1,8 @@
 # cython: language_level=3, infer_types=True, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""The compiled loops that correct readings sample by sample: that solves those of a block for what it measures, those
-that move accelerometers to one point, and that takes a stream through all of them.
+"""Compiled loops of the correction of readings, sample by sample: the model of a block of sensors solved for the vector
+that it measures, the effect of lever arms removed, and both for a stream.
 
-Sums are taken in the order that is written.
+Sums are evaluated in the order in which they are written.
 """
 
 import numpy as np
@@ -32,18 +32,22 @@ cpdef enum:
     TOO_FAST = 2
     TOO_MUCH = 4
 
-# A sheet (n, WIDTH) has a row for each sensor of a block: of K what is not linear in the measured vector, with the bias
-# b at _BIAS; its column of S⁻¹; its axis; its reference temperature T₀, °C; what b changes by per K, K² and K³,
-# and s likewise; and of an accelerometer r, k, r × k and r · k, with lever arm r and sensitivity k.
+# A sheet (n, WIDTH) has a row for each sensor of a block. Its columns are the coefficients K of the functions β, those
+# of the measured vector itself being zero, with the bias b at _BIAS; the column of S⁻¹, the left inverse of the
+# sensitivity matrix (3); the nominal axis (3); the reference temperature, °C; the changes of b per K, K² and K³ and the
+# relative changes of the gain s (6); and of an accelerometer the lever arm r (3), m, its sensitivity k (3), r × k (3)
+# and r · k.
 
 
 def fixed_point(
     const double[:, :] readings, const double[:, :] celsius, const int64_t[:] thermometers, const double[:, :] other,
     const double[:, :] sheet, Py_ssize_t steps, *, bint of_force, bint feels,
 ):
-    """Measured vectors x (N, 3) by so many steps x ← S⁻¹ ((ŷ − b − K β(x)) / s) from zero, with readings ŷ (N, n) of
-    the sensors of a `sheet`, temperatures (N, T), °C, of thermometers of which each has that number (n,), and the
-    `other` vectors (N, 3) of β, where it `feels` them. `of_force`: whether x is the specific force."""
+    """Return the vectors x (N, 3) that a block measures, by `steps` iterations x ← S⁻¹ ((ŷ − b − K β) / s) from zero.
+
+    The sensors of the `sheet` (n, WIDTH) have the readings ŷ (N, n), SI. `celsius` (N, T): temperatures, °C;
+    `thermometers` (n,): the column of each sensor in these. `of_force`: whether x is the specific force. `other`
+    (N, 3): the rate if it is, else the specific force; used if the sensors respond to it (`feels`)."""
     out = np.empty((readings.shape[0], 3))
     cdef double[:, :] known = np.empty((2, sheet.shape[0])), solved = out
     with nogil:
@@ -55,8 +59,8 @@ cdef for_each_processor _solve(
     const double[:, :] readings, const double[:, :] celsius, const int64_t[:] thermometers, const double[:, :] other,
     const double[:, :] sheet, Py_ssize_t steps, bint of_force, bint feels, double[:, :] known, double[:, :] out,
 ) noexcept nogil:
-    """The same into `out`; `known` has of each sensor the reading less all that is known before the first step, and the
-    inverse of its gain."""
+    """Write the result of `fixed_point` into `out`. `known` (2, n), work space: of each sensor the reading less all
+    terms that do not depend on x, and the inverse gain 1/s."""
     cdef Py_ssize_t p
     cdef double x, y, z, u, v, w, own, value, warmer, gain, b1, b2, b3, s1, s2, s3
     linear = _RATE if of_force else _FORCE
@@ -97,7 +101,7 @@ cdef for_each_processor _solve(
 
 
 cdef double _products(const double[:, :] sheet, Py_ssize_t p, double x, double y, double z) noexcept nogil:
-    """What a sensor reads of the products of the components of the force."""
+    """Return the terms of a sensor in the products of the components of the specific force (x, y, z)."""
     by_x = sheet[p, _PRODUCTS] * x + sheet[p, _PRODUCTS + 1] * y + sheet[p, _PRODUCTS + 2] * z
     by_y = sheet[p, _PRODUCTS + 3] * y + sheet[p, _PRODUCTS + 4] * z
     return x * by_x + y * by_y + sheet[p, _PRODUCTS + 5] * z * z
@@ -110,8 +114,8 @@ cdef void _differ(
     const double[:, :] values, const double[:] time, Py_ssize_t first, Py_ssize_t stop, double longest,
     double unknown, double[:, :] out,
 ) noexcept nogil:
-    """Changes of values (N, 3) a second, of samples from `first` to `stop`, from the sample before to the one after, at
-    both ends from the sample itself; `unknown` where these are not more than 0 and at most `longest` s apart."""
+    """Central differences of values (N, 3), per s, of samples `first` to `stop`, one-sided at both ends. Where the two
+    samples are not more than 0 and at most `longest` s apart, they are `unknown`, which is NaN."""
     cdef double step
     cdef Py_ssize_t before, after, j
     for j in range(first, stop):
@@ -127,9 +131,9 @@ cdef void _move(
     const double[:, :] readings, const double[:, :] rate, const double[:, :] acceleration, const double[:, :] sheet,
     Py_ssize_t first, Py_ssize_t stop, double[:, :] out,
 ) noexcept nogil:
-    """Readings (N, n) of accelerometers as without lever arms, at a rate ω and an angular acceleration ω̇ (N, 3): less
-    k · (ω̇ × r + ω × (ω × r)) = ω̇ · (r × k) + (ω · r) (ω · k) − ω² (r · k). Where that is not finite they stay as they
-    are."""
+    """Subtract the effect of lever arms from readings (N, n) of accelerometers, at rates ω and angular accelerations ω̇
+    (N, 3): k · (ω̇ × r + ω × (ω × r)) = ω̇ · (r × k) + (ω · r) (ω · k) − ω² (r · k). Readings for which this is not
+    finite are unchanged."""
     cdef double rx, ry, rz, size, kx, ky, kz, cx, cy, cz, x, y, z, turning, spinning, there
     cdef Py_ssize_t p, j
     for p in range(sheet.shape[0]):
@@ -148,9 +152,10 @@ cdef Py_ssize_t _take(
     const double[:, :] accel, const double[:, :] gyro, const double[:] time, const double[:, :] thermometer,
     const double[:] settings, double[:, :] rows, double[:, :] warmth, double[:] clock, Py_ssize_t row,
 ) noexcept nogil:
-    """New samples into the rows from `row` on, less those that are late; returns the row after them. Each follower has
-    the thermometer of its number, counted anew from the first where there are more followers, and its own lag:
-    `tumble.reduction.rests.thermometer`, over the time from stamp to stamp, or the usual interval where that is none."""
+    """Write new samples, without late ones, into the rows from `row` on; return the row after them.
+
+    Follower p is that of thermometer p modulo their number, with its own lag (`tumble.reduction.rests.thermometer`), a
+    negative lag being a lead. The time between samples is that of the stamps, or the usual interval if not positive."""
     cdef double now, before, behind, t, flag, interval, lag, step, kept
     cdef Py_ssize_t p, n, m
     interval = settings[0]
@@ -189,20 +194,20 @@ cdef Py_ssize_t _take(
 
 
 def advance(given, sensors, settings, state, held, out, *, moved, last):
-    """One block of a stream: returns how many of its samples are correct now, in `out`, and how many rows are held.
+    """Correct one block of a stream; return the numbers of samples corrected, in `out`, and of rows held back.
 
-    given : readings of accelerometers (N, n) and gyros (N, m), stamps (N,) or, of a regular clock, none, and
-        temperatures (N, T).
-    sensors : sheets of both kinds, their thermometers, their steps, and whether gyros feel the force.
-    settings : interval, s; the lowest and the highest temperature, °C; up to how much a late sample is dropped, s; what
-        0 °C is; the longest step, s; squares of the largest rate and force; and what is not a number.
-    state : rows (held + N, 2 + 2 n + m + F + 9), each of them stamp, flag, readings, temperatures, rate, its change,
-        force, and accelerometers at one point; of F followers of thermometers (F, 3) the temperature of the thermometer
-        and of the follower, °C, and its lag, s; the last stamp, the samples, and those that were dropped; and room
-        (2, n) for solving.
-    held : how many rows there are. Where readings are to be `moved`, the last of them is not corrected yet, and has to
-        wait for the next, unless this is the `last` block.
-    out : stamps, flags and temperatures of the followers, K or °C as given (M, 2 + F), force and rate (M, 3)."""
+    given : readings of accelerometers (N, n) and gyros (N, m), SI; stamps (N,), s, none for a regular clock;
+        temperatures (N, T), °C or K.
+    sensors : of both kinds the sheets, the thermometers, and the steps; whether gyros respond to the specific force.
+    settings : 0, usual interval, s; 1 and 2, lowest and highest temperature, °C; 3, a sample up to this time, s, before
+        the last one is dropped as late; 4, 0 °C in the unit of the temperatures; 5, longest step of a difference, s; 6
+        and 7, squares of the largest rate and specific force; 8, NaN.
+    state : rows (held + N, 2 + 2 n + m + F + 9): stamp, flag, readings, temperatures of F followers, rate, angular
+        acceleration, specific force, and accelerometer readings without lever arms; (F, 3): temperature of thermometer
+        and follower, °C, and lag, s; (3,): last stamp, and numbers of samples and of late ones; (2, n): work space.
+    held : number of rows from before. If lever arms are to be removed (`moved`), the last row needs the next sample and
+        is held back, unless this is the `last` block.
+    out : stamp, flag and temperatures of the followers, in the unit given (M, 2 + F); specific force, rate (M, 3)."""
     (accel, gyro, time, thermometer), (rows, warmth, clock, known), (stamps, force, rate) = given, state, out
     accel_sheet, gyro_sheet, of_accel, of_gyro, accel_steps, gyro_steps, feels = sensors
     count = _advance(
@@ -219,7 +224,7 @@ cdef Py_ssize_t _advance(
     double[:, :] rows, double[:, :] warmth, double[:] clock, double[:, :] known, Py_ssize_t held, double[:, :] stamps,
     double[:, :] force, double[:, :] rate, bint moved, bint last,
 ):
-    """The same; four times the number of samples, and the rows that are held."""
+    """Run `advance`; return four times the number of correct samples, plus the number of rows held back."""
     cdef Py_ssize_t n, m, heat, spin, total, first, stop, keep, j, p
     cdef double x, y, z
     cdef double[:, :] celsius, turning, change, rates, forces, there, plain

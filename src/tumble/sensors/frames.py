@@ -48,6 +48,7 @@ Frame = Literal["accelerometer", "case", "paper", "symmetric"]
 FRAMES: tuple[Frame, ...] = get_args(Frame)
 
 _UPPER = ((0, 1), (0, 2), (1, 2))
+_UPPER_INDEX = tuple(zip(*_UPPER, strict=True))
 _UPPER_PAIRS = ("xy", "xz", "yz")
 
 
@@ -62,9 +63,9 @@ def frame_of(name: str) -> Frame:
 class Alignment:
     """Alignment of the case with a frame b.
 
-    `mat_cb`: rotation (3, 3). `covariance`: of its error ψ (3, 3), rad², as far as it does not come from the
-    accelerometer parameters; the true rotation is exp([ψ×]) mat_cb. `by_parameters`: derivative of the rotation,
-    resolved in the case, by these (3, m)."""
+    `mat_cb` (3, 3): rotation b → case; the true one is exp([ψ×]) mat_cb. `covariance` (3, 3): of the error ψ, rad²,
+    without the part that comes from the m parameters of the accelerometers. `by_parameters` (3, m): derivative of the
+    rotation vector, resolved in the case, by these."""
 
     mat_cb: Array
     covariance: Array
@@ -75,7 +76,8 @@ class Alignment:
 class Framed:
     """Parameters of accelerometers, then gyros, in a frame, with covariance and sensor models.
 
-    `jacobian`: derivative by the parameters they were converted from. `rotation`: the Q of M′ = M Q."""
+    `jacobian` (m′, m): derivative of these parameters by those they were converted from. `rotation` (3, 3): the Q of
+    M′ = M Q."""
 
     frame: Frame
     names: tuple[str, ...]
@@ -126,11 +128,12 @@ class Convention:
         k, angles = 1.0 + values[3:6], values[6:]
         if self.frame == "paper":
             rows = np.eye(3, dtype=values.dtype)
-            rows[tuple(zip(*_UPPER, strict=True))] = angles
+            rows[_UPPER_INDEX] = angles
             rows *= k[:, None]
         else:  # the symmetric matrix whose rows have the lengths 1 + k and the angles xy, xz, yz of Eq. (1)
-            (xy, xz, yz), rows = angles, np.zeros((3, 3), dtype=values.dtype)
-            rows[0, 1], rows[0, 2], rows[1, 2] = k[0] * np.sin(xy), k[0] * np.cos(xy) * np.sin(xz), k[1] * np.sin(yz)
+            xy, xz, yz = angles
+            rows = np.zeros((3, 3), dtype=values.dtype)
+            rows[_UPPER_INDEX] = k[0] * np.sin(xy), k[0] * np.cos(xy) * np.sin(xz), k[1] * np.sin(yz)
             rows += rows.T
             rows += np.diag(np.sqrt(k**2 - (rows**2).sum(axis=1)))
         bias = self.block.axes @ values[:3] * self.block.axes.sum(axis=1)
@@ -204,34 +207,37 @@ def convert(
     old, new = Convention(frame=source, block=accel), Convention(frame=target, block=accel)
     count = len(old.names)
     before = old.model(values[:count])
-    Q = np.eye(3)
-    if target != source:
-        Q = alignment.mat_cb.T if target == "case" and alignment is not None else rotation_to(target, accel, before)
-    after = _rotated(before, Q)
-    accel_values, phi_columns = new.parameters(after), _rotation_columns(after)
-    derivative = new.jacobian(accel_values).reshape(4 * accel.size, -1)
-    change, phi = _rotated_change(old.jacobian(values[:count]), Q), np.zeros((3, count))
-    if target == "case":
-        if alignment is not None and source != "case":
-            phi = -alignment.by_parameters
-        accel_jacobian = np.linalg.solve(derivative, change + phi_columns @ phi)
+    if target == source:
+        Q = np.eye(3)
+    elif target == "case" and alignment is not None:
+        Q = alignment.mat_cb.T
     else:
-        accel_jacobian, phi = np.split(np.linalg.solve(np.hstack([derivative, -phi_columns]), change), [len(new.names)])
-    jacobian = np.hstack([accel_jacobian, np.zeros((len(accel_jacobian), len(values) - count))])
-    blocks = [(derivative, phi_columns)]
-    names, framed_values, gyro_after = new.names, accel_values, None
+        Q = rotation_to(target, accel, before)
+    after = _rotated(before, Q)
+    framed_values, names = new.parameters(after), new.names
+    # D′ δθ′ = δM Q + M′[φ×], with φ of the alignment or, in other frames, as unknowns
+    derivative, phi_columns = new.jacobian(framed_values).reshape(4 * accel.size, -1), _rotation_columns(after)
+    change = _rotated_change(old.jacobian(values[:count]), Q)
+    if target == "case":
+        phi = np.zeros((3, count)) if alignment is None or source == "case" else -alignment.by_parameters
+        of_accel = np.linalg.solve(derivative, change + phi_columns @ phi)
+    else:
+        of_accel, phi = np.split(np.linalg.solve(np.hstack([derivative, -phi_columns]), change), [len(names)])
+    jacobian = np.hstack([of_accel, np.zeros((len(of_accel), len(values) - count))])
+    systems = [(derivative, phi_columns)]
+    gyro_after = None
     if gyro is not None:
         gyro_after = _rotated(gyro.model(values[count:]), Q)
-        gyro_values, phi_columns = gyro.parameters(gyro_after), _rotation_columns(gyro_after)
-        derivative = gyro.jacobian(gyro_values).reshape(4 * gyro.size, -1)
+        gyro_values = gyro.parameters(gyro_after)
+        framed_values, names = np.concatenate([framed_values, gyro_values]), (*names, *gyro.names)
+        derivative, phi_columns = gyro.jacobian(gyro_values).reshape(4 * gyro.size, -1), _rotation_columns(gyro_after)
         change = np.hstack([phi_columns @ phi, _rotated_change(gyro.jacobian(values[count:]), Q)])
         jacobian = np.vstack([jacobian, np.linalg.solve(derivative, change)])
-        blocks.append((derivative, phi_columns))
-        names, framed_values = (*names, *gyro.names), np.concatenate([accel_values, gyro_values])
+        systems.append((derivative, phi_columns))
     if covariance is not None:
         covariance = jacobian @ covariance @ jacobian.T
         if alignment is not None and target == "case" and source != "case":
-            by_alignment = np.concatenate([np.linalg.solve(*block) for block in blocks])
+            by_alignment = np.concatenate([np.linalg.solve(*system) for system in systems])
             covariance = covariance + by_alignment @ alignment.covariance @ by_alignment.T
     return Framed(
         frame=target,

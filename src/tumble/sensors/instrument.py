@@ -209,12 +209,15 @@ class Instrument:
 def _linearised(instrument: Instrument, values: bytes) -> tuple[Array, Array]:
     """Return `Instrument.linearised`, cached: an estimate evaluates it repeatedly at one point."""
     point = np.frombuffer(values)
-    K, D = instrument._constant @ point, instrument._constant.copy()
+    K = instrument._constant @ point
+    D = instrument._constant.copy()
     for block in instrument.blocks:
         rows, columns, measured = instrument.rows(block), instrument.own(block), measured_by(block)
         model, jacobian = block.linearised(point[columns])
-        K[rows, measured], K[rows, CONSTANT] = model[:, :3], model[:, 3]
-        D[rows, measured, columns], D[rows, CONSTANT, columns] = jacobian[:, :3], jacobian[:, 3]
+        K[rows, measured] = model[:, :3]
+        K[rows, CONSTANT] = model[:, 3]
+        D[rows, measured, columns] = jacobian[:, :3]
+        D[rows, CONSTANT, columns] = jacobian[:, 3]
     K.flags.writeable = D.flags.writeable = False
     return K, D
 

@@ -127,7 +127,8 @@ class Block:
     @cached_property
     def triad(self) -> bool:
         """Whether the sensors are three, each along a body axis (in any order and with either sign)."""
-        return _along_body_axes(np.asarray(self.axes, dtype=float).tobytes())
+        sizes = np.sort(np.abs(self.axes), axis=1)
+        return np.array_equal(sizes, [[0, 0, 1]] * 3) and bool(abs(np.linalg.det(self.axes)) > 0.5)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -195,7 +196,7 @@ class Block:
             both[sensor, which] = value
         if self.triad:
             return np.asarray(self._signs[:, None] * axes_matrix(*both.ravel()))
-        t = _perpendiculars(np.asarray(self.axes, dtype=float).tobytes())
+        t = self._perpendiculars
         square = (both**2).sum(axis=1)[:, None]
         angle = np.sqrt(np.where(square == 0, 1.0, square))
         cosine = np.where(square == 0, 1.0, np.cos(angle))
@@ -211,8 +212,20 @@ class Block:
             sine = np.cross(self.axes, directions)
             angle = np.arctan2(np.linalg.norm(sine, axis=1), (self.axes * directions).sum(axis=1))
             ratio = np.where(angle == 0.0, 1.0, angle / np.where(angle == 0.0, 1.0, np.sin(angle)))
-            both = ratio[:, None] * np.einsum("pk,pjk->pj", sine, _perpendiculars(self.axes.astype(float).tobytes()))
+            both = ratio[:, None] * np.einsum("pk,pjk->pj", sine, self._perpendiculars)
         return np.array([both[p, j] for p, j in self._free])
+
+    @cached_property
+    def _perpendiculars(self) -> Array:
+        """Unit vectors t₁ and t₂ (n, 2, 3) about which the nominal axes rotate."""
+        out = np.empty((self.size, 2, 3))
+        for p, d in enumerate(self.axes):
+            r = self.axes[0]
+            if np.linalg.norm(np.cross(r, d)) < 1e-3:  # parallel
+                r = np.eye(3)[np.argmin(np.abs(d))]
+            out[p, 0] = np.cross(r, d) / np.linalg.norm(np.cross(r, d))
+            out[p, 1] = np.cross(d, out[p, 0])
+        return out
 
     @property
     def _signs(self) -> Array:
@@ -220,47 +233,29 @@ class Block:
         return np.asarray(self.axes[self.channels].sum(axis=1), dtype=float)
 
 
-@lru_cache(maxsize=256)
-def _along_body_axes(axes: bytes) -> bool:
-    """Return True if sensing axes (n, 3), float64, are three, each along a body axis."""
-    rows = np.frombuffer(axes).reshape(-1, 3)
-    return rows.shape == (3, 3) and bool(
-        np.array_equal(np.sort(np.abs(rows), axis=1), [[0, 0, 1]] * 3) and abs(np.linalg.det(rows)) > 0.5
-    )
-
-
 @lru_cache(maxsize=64)
 def _linearised(block: Block, values: bytes) -> tuple[Array, Array]:
     """Return `Block.linearised`, cached: an estimate evaluates it repeatedly at one point."""
-    (bias, scale, angles), n = np.split(np.frombuffer(values), [block.size, 2 * block.size]), block.size
-    model, jacobian, index = np.empty((n, 4)), np.zeros((n, 4, len(values) // 8)), np.arange(n)
-    model[block.channels, 3], jacobian[block.channels, 3, index] = bias, 1.0
+    n, channels, sensor_index = block.size, block.channels, np.arange(block.size)
+    parameters = np.frombuffer(values)
+    bias, scale, angles = np.split(parameters, [n, 2 * n])
     gain, rotated = (1.0 + scale)[:, None], block._rotated(angles)
-    model[block.channels, :3], jacobian[block.channels, :3, n + index] = gain * rotated, rotated
+    model = np.empty((n, 4))
+    model[channels, :3] = gain * rotated
+    model[channels, 3] = bias
+    jacobian = np.zeros((n, 4, len(parameters)))
+    jacobian[channels, 3, sensor_index] = 1.0
+    jacobian[channels, :3, n + sensor_index] = rotated
     for which in (0, 1):  # a complex step, exact to rounding; an angle affects only its own sensor
-        stepped, members = angles.astype(complex), [i for i, free in enumerate(block._free) if free[1] == which]
+        members = [i for i, free in enumerate(block._free) if free[1] == which]
+        stepped = angles.astype(complex)
         stepped[members] += 1e-20j
         change = gain * block._rotated(stepped).imag / 1e-20
         for i in members:
             sensor = block._free[i][0]
-            jacobian[block.channels[sensor], :3, 2 * n + i] = change[sensor]
+            jacobian[channels[sensor], :3, 2 * n + i] = change[sensor]
     model.flags.writeable = jacobian.flags.writeable = False
     return model, jacobian
-
-
-@lru_cache(maxsize=64)
-def _perpendiculars(axes: bytes) -> Array:
-    """Return t₁ and t₂ (n, 2, 3) of sensing axes (n, 3), float64."""
-    rows = np.frombuffer(axes).reshape(-1, 3)
-    out = np.empty((len(rows), 2, 3))
-    for p, d in enumerate(rows):
-        r = rows[0]
-        if np.linalg.norm(np.cross(r, d)) < 1e-3:
-            r = np.eye(3)[np.argmin(np.abs(d))]
-        out[p, 0] = np.cross(r, d) / np.linalg.norm(np.cross(r, d))
-        out[p, 1] = np.cross(d, out[p, 0])
-    out.flags.writeable = False
-    return out
 
 
 def to_accelerometer_frame(

@@ -53,6 +53,7 @@ PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # k and l of the produ
 Terms = Literal["full", "linear"]
 """Parameters of an instrument: all groups of the table, or only bias, scale factor and axis angles."""
 Motion = Literal["lever", "delay", "single delay"]
+"""Effect on turns of a group of parameters that has none on rests."""
 Variable = Literal["time", "temperature", "temperature²", "temperature³", "hysteresis", "launch", "lag"]
 """Variable that a change of a parameter is proportional to: time from the mean of a session's rests, s; temperature
 from the reference, K, its square and cube; the direction of temperature change, −1 … 1; the session. A lag shifts the
@@ -327,7 +328,8 @@ def within_group(parameter: str) -> str:
 
 def variable_of(parameter: str) -> Variable | None:
     """Return the variable of a parameter or group that is a change, else None."""
-    return getattr(named_group(group_name(parameter)), "variable", None)
+    group = named_group(group_name(parameter))
+    return None if group is None else group.variable
 
 
 def group_of(parameter: str) -> ParameterGroup:

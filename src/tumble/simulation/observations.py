@@ -40,18 +40,14 @@ from tumble.reduction.turns.turns import (
 from tumble.rotation import UP, onto_body, rotation_matrix, skew
 from tumble.sensors.parameters import prior_sizes
 from tumble.simulation.scenario import Scenario, itinerary
-from tumble.simulation.sensors import NODES, WEIGHTS, InRunBias, SimulatedBlock, turning, waves
+from tumble.simulation.sensors import NODES, WEIGHTS, InRunBias, SimulatedBlock, harmonic_coefficients, harmonics
 from tumble.units import Array
 
 SAMPLES = 256  # of a turn
 
 
 def simulate_observations(
-    scenario: Scenario,
-    rng: np.random.Generator,
-    *,
-    course: Itinerary | None = None,
-    only_programmed: bool = False,
+    scenario: Scenario, rng: np.random.Generator, *, course: Itinerary | None = None, only_programmed: bool = False
 ) -> Observations:
     """Simulate the observations of one session.
 
@@ -139,48 +135,53 @@ def _turns(
     biases: tuple[InRunBias, ...],
     rng: np.random.Generator,
 ) -> tuple[Turns, TurnSamples, TurnReadings]:
-    """Return the turns (K,), not yet integrated, and their samples.
+    """Return the turns (K,), not yet integrated, their samples, and the integrals of their gyro readings.
 
     The first step of a turn needs AHEAD samples before it, as if it were already turning. All have white noise except
     those of the gyros ahead."""
-    (accel, gyro), first, T = sensors, course.first, course.seconds
-    K, n, S, before = len(first), gyro.block.size, SAMPLES + AHEAD, course.attitudes[first]
-    to_body, to_force = onto_body(gyro.block.axes), onto_body(accel.block.axes)
-    vector = inertial_turns(before, course.attitudes[first + 1], course.moves[first], T, scenario.setup.latitude)
+    accel, gyro = sensors
+    first, T, g = course.first, course.seconds, scenario.setup.gravity
+    start = course.attitudes[first]
+    vector = inertial_turns(start, course.attitudes[first + 1], course.moves[first], T, scenario.setup.latitude)
+    K, n, S = len(first), gyro.block.size, SAMPLES + AHEAD
     dt = T / SAMPLES
     when = course.rests[first, 1][:, None] + (np.arange(S) - AHEAD + 0.5) * dt[:, None]
     rate = np.repeat((vector / T[:, None])[:, None], S, axis=1)
-    force = scenario.setup.gravity * _mean_verticals(scenario, before, vector, T)
-    sampled = _sampled(gyro, force, rate, when) + biases[1].at(when)
-    sampled[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
-    if np.any(late := scenario.instrument.delays(scenario.values)):
-        times, which = np.unique(late, return_inverse=True)
-        each = [_mean_verticals(scenario, before, vector, T, behind) for behind in times.tolist()]
-        force = scenario.setup.gravity * np.stack(each, axis=2)[:, :, which]
-    force_samples = _sampled(accel, _with_levers(scenario, course, force, vector, T), rate, when)
-    noise = rng.spawn(1)[0].standard_normal(force_samples.shape)
-    force_samples += biases[0].at(when) + accel.white / np.sqrt(dt)[:, None, None] * noise
+
+    # readings of the gyros (K, S, n), of the accelerometers (K, S, n) at their delays
+    force = g * _mean_verticals(scenario, start, vector, T)
+    gyro_samples = _sampled(gyro, force, rate, when) + biases[1].at(when)
+    gyro_samples[:, AHEAD:] += gyro.white / np.sqrt(dt)[:, None, None] * rng.standard_normal((K, SAMPLES, n))
+    delays = scenario.instrument.delays(scenario.values)
+    if np.any(delays):
+        distinct, which = np.unique(delays, return_inverse=True)
+        delayed = [_mean_verticals(scenario, start, vector, T, delay) for delay in distinct.tolist()]
+        force = g * np.stack(delayed, axis=2)[:, :, which]
+    accel_samples = _sampled(accel, _with_levers(scenario, course, force, vector, T), rate, when)
+    noise = rng.spawn(1)[0].standard_normal(accel_samples.shape)
+    accel_samples += biases[0].at(when) + accel.white / np.sqrt(dt)[:, None, None] * noise
+    to_rate, to_force = onto_body(gyro.block.axes), onto_body(accel.block.axes)
     stored = MotionSamples()
     stored.append(
-        (sampled @ to_body.T).reshape(-1, 3),
-        (force_samples @ to_force.T).reshape(-1, 3),
-        np.repeat(dt, S),
+        (gyro_samples @ to_rate.T).reshape(-1, 3), (accel_samples @ to_force.T).reshape(-1, 3), np.repeat(dt, S)
     )
-    start = AHEAD + S * np.arange(K)
-    spread = np.trace(to_force @ to_force.T) / 3.0
-    step = np.linalg.norm(vector, axis=1) / SAMPLES
-    floor = VELOCITY_FLOOR + VELOCITY_STEP * scenario.setup.gravity * T * step**3
-    density = to_body @ to_body.T
+    first_sample = AHEAD + S * np.arange(K)
+    samples = TurnSamples(samples=stored, start=first_sample, stop=first_sample + SAMPLES)
+
+    # covariances of rotations, of velocities, and of the integrals of the gyros
+    density = to_rate @ to_rate.T
     if not np.allclose(density, density[0, 0] * np.eye(3), rtol=1e-12, atol=0.0):
         path = rotation_matrix(((np.arange(SAMPLES) + 0.5) / SAMPLES)[:, None, None] * vector)
         density = (path @ density @ np.swapaxes(path, -1, -2)).mean(axis=0)
     covariance = gyro.white**2 * T[:, None, None] * density + TURN_FLOOR**2 * np.eye(3)
-    turns = white_turns(first, T, covariance, accel.white**2 * T * spread + floor**2)
+    accel_density = np.trace(to_force @ to_force.T) / 3.0
+    floor = VELOCITY_FLOOR + VELOCITY_STEP * g * T * (np.linalg.norm(vector, axis=1) / SAMPLES) ** 3
+    turns = white_turns(first, T, covariance, accel.white**2 * T * accel_density + floor**2)
     variance = gyro.white**2 * T + TURN_FLOOR**2
     integrals = TurnReadings(
-        integral=sampled[:, AHEAD:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
+        integral=gyro_samples[:, AHEAD:].sum(axis=1) * dt[:, None], covariance=variance[:, None, None] * np.eye(n)
     )
-    return turns, TurnSamples(samples=stored, start=start, stop=start + SAMPLES), integrals
+    return turns, samples, integrals
 
 
 def _sampled(sensors: SimulatedBlock, force: Array, rate: Array, when: Array) -> Array:
@@ -198,7 +199,7 @@ def _with_levers(scenario: Scenario, course: Itinerary, force: Array, vector: Ar
     instrument = scenario.instrument
     if instrument.turn_only("lever") is None:
         return force
-    arms, late = instrument.levers(scenario.values), instrument.delays(scenario.values)
+    arms, delays = instrument.levers(scenario.values), instrument.delays(scenario.values)
     rate, dt = vector / T[:, None], T / SAMPLES
     earth = np.array(earth_rate(scenario.setup.latitude))
     out = np.repeat(force[:, :, None], len(arms), axis=2) if force.ndim == 3 else force.copy()
@@ -206,13 +207,13 @@ def _with_levers(scenario: Scenario, course: Itinerary, force: Array, vector: Ar
     out[:, AHEAD:] += centripetal.swapaxes(1, 2)[:, None]
     for sample, rests, sign in ((AHEAD, course.first, 1.0), (-1, course.first + 1, -1.0)):
         jump = skew(rate - earth @ course.attitudes[rests]) @ arms.T
-        turned = rotation_matrix((late - 0.5 * sign * dt[:, None])[..., None] * rate[:, None])
+        turned = rotation_matrix((delays - 0.5 * sign * dt[:, None])[..., None] * rate[:, None])
         out[:, sample] += np.einsum("kpij,kjp->kpi", turned, jump) * (sign / dt)[:, None, None]
     return out
 
 
-def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array, late: float = 0.0) -> Array:
-    """Return the mean upward vertical in the body (K, SAMPLES + AHEAD, 3) over each sample, `late` by some s.
+def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array, delay: float = 0.0) -> Array:
+    """Return the mean upward vertical in the body (K, SAMPLES + AHEAD, 3) over each sample, `delay` s earlier.
 
     Turns are from attitudes `start` through rotation vectors `vector` (K, 3) in `T` (K,) s. The first AHEAD samples are
     before the turn, as if already turning. With the axis n in the body, the rate ω of the turn and the Earth's Ω m,
@@ -220,8 +221,9 @@ def _mean_verticals(scenario: Scenario, start: Array, vector: Array, T: Array, l
     earth = np.array(earth_rate(scenario.setup.latitude))
     angle, earth_norm = np.linalg.norm(vector, axis=1), float(np.linalg.norm(earth))
     axis = vector / np.where(angle > 0.0, angle, 1.0)[:, None]
-    t = (np.arange(SAMPLES + AHEAD)[:, None] - AHEAD + NODES) * (T / SAMPLES)[:, None, None] - late
-    by_earth, by_turn = waves(-earth_norm * t), waves((angle / T)[:, None, None] * t)
+    t = (np.arange(SAMPLES + AHEAD)[:, None] - AHEAD + NODES) * (T / SAMPLES)[:, None, None] - delay
+    by_earth, by_turn = harmonics(-earth_norm * t), harmonics((angle / T)[:, None, None] * t)
     mean = np.einsum("ksnp,ksnq,n->kspq", by_earth, by_turn, WEIGHTS)
-    parts = turning(axis[:, None], turning(earth / earth_norm, UP) @ start)  # in the body, by earth and turn
-    return np.asarray(mean.reshape(*t.shape[:2], 9) @ parts.reshape(-1, 9, 3))
+    at_start = harmonic_coefficients(earth / earth_norm, UP) @ start  # in the body
+    coefficients = harmonic_coefficients(axis[:, None], at_start)
+    return np.asarray(mean.reshape(*t.shape[:2], 9) @ coefficients.reshape(-1, 9, 3))

@@ -28,12 +28,13 @@ from tumble.planning.itinerary import Itinerary
 from tumble.rotation import UP, skew
 from tumble.sensors.model import Block
 from tumble.simulation.scenario import Scenario, itinerary
-from tumble.simulation.sensors import NODES, WEIGHTS, SimulatedBlock, turning, waves
+from tumble.simulation.sensors import NODES, WEIGHTS, SimulatedBlock, harmonic_coefficients, harmonics
 from tumble.units import Array
 
 _PANELS_PER_CYCLE = 4.0
 _MAX_SAMPLES = 30_000_000  # eight hours at 1 kHz, 1.5 GB
 _CHUNK = 1 << 13  # samples made at a time
+_ROUNDING = 1e-6  # of a sample: a rest that ends with a sample to rounding includes it
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -54,12 +55,12 @@ def record(scenario: Scenario, rng: np.random.Generator) -> Recording:
     samples = float(course.rests[-1, 1]) * float(fs)
     if not samples <= _MAX_SAMPLES:
         raise InputError(f"session: expected at most {_MAX_SAMPLES:g} samples, found {samples:.3g}")
-    N = math.floor(course.rests[-1, 1] * fs + 1e-6)
+    N = math.floor(course.rests[-1, 1] * fs + _ROUNDING)
     accel_noise, gyro_noise = noise.spawn(2)
-    late, which = np.unique(scenario.instrument.delays(scenario.values), return_inverse=True)
-    streams = [accel_noise] if len(late) == 1 else accel_noise.spawn(len(late))
+    delays, which = np.unique(scenario.instrument.delays(scenario.values), return_inverse=True)
+    streams = [accel_noise] if len(delays) == 1 else accel_noise.spawn(len(delays))
     accel = np.empty((scenario.accel.size, N))
-    for k, (delay, stream) in enumerate(zip(late.tolist(), streams, strict=True)):
+    for k, (delay, stream) in enumerate(zip(delays.tolist(), streams, strict=True)):
         accel[which == k] = _block_readings(scenario.accel, scenario, course, stream, delay)[which == k]
     gyro = _block_readings(scenario.gyro, scenario, course, gyro_noise, 0.0)
     truth = {field.name: getattr(course, field.name) for field in fields(course)}
@@ -67,17 +68,18 @@ def record(scenario: Scenario, rng: np.random.Generator) -> Recording:
 
 
 def _block_readings(
-    block: Block, scenario: Scenario, course: Itinerary, rng: np.random.Generator, late: float
+    block: Block, scenario: Scenario, course: Itinerary, rng: np.random.Generator, delay: float
 ) -> Array:
-    """Return the readings (n, N) of a block with a delay `late`, s.
+    """Return the readings (n, N) of a block whose readings have a `delay`, s.
 
     They are made piece by piece: rest, move, rest, … A sample belongs to a rest if its whole interval does."""
     fs, rests = scenario.setup.sample_rate, course.rests
     sensors = SimulatedBlock.of(block, scenario, course.middle)
-    out = np.empty((block.size, math.floor(rests[-1, 1] * fs + 1e-6)))
-    shifted = rests + late
+    out = np.empty((block.size, math.floor(rests[-1, 1] * fs + _ROUNDING)))
+    shifted = rests + delay
     shifted[0, 0], shifted[-1, 1] = rests[0, 0], rests[-1, 1]
-    edges = np.column_stack([np.ceil(shifted[:, 0] * fs - 1e-6), np.floor(shifted[:, 1] * fs + 1e-6)]).astype(int)
+    starts, stops = shifted.T * fs
+    edges = np.column_stack([np.ceil(starts - _ROUNDING), np.floor(stops + _ROUNDING)]).astype(int)
     normal = np.empty((len(rests), block.size))
     for i, L in enumerate(course.attitudes):
         normal[i] = rng.standard_normal(block.size)
@@ -85,15 +87,15 @@ def _block_readings(
         pieces = [(*piece, True) for piece in _chunks(*edges[i])] + [(*piece, False) for piece in moves]
         for first, last, still in pieces:
             if still:
-                means = _at_rest(sensors, scenario, late, L, first, last)
+                means = _at_rest(sensors, scenario, delay, L, first, last)
             else:
-                means = _in_move(sensors, scenario, late, L, course.moves[i], float(shifted[i, 1]), first, last)
+                means = _in_move(sensors, scenario, delay, L, course.moves[i], float(shifted[i, 1]), first, last)
             out[:, first:last] = means.T
             if sensors.white > 0.0:
                 out[:, first:last] += math.sqrt(fs) * sensors.white * rng.standard_normal((block.size, last - first))
     bias = sensors.bias(normal, rests)
     for first, last in _chunks(0, out.shape[1]) if np.any(bias.values) else ():
-        begins = (np.arange(first, last) + 1e-6) / fs - late  # of the rest that begins there
+        begins = (np.arange(first, last) + _ROUNDING) / fs - delay  # of the rest that begins there
         out[:, first:last] += bias.at(np.asarray(begins, dtype=float)).T
     return out
 
@@ -104,11 +106,12 @@ def _chunks(first: int, last: int) -> Iterator[tuple[int, int]]:
         yield start, min(start + _CHUNK, int(last))
 
 
-def _at_rest(sensors: SimulatedBlock, scenario: Scenario, late: float, L: Array, first: int, last: int) -> Array:
+def _at_rest(sensors: SimulatedBlock, scenario: Scenario, delay: float, L: Array, first: int, last: int) -> Array:
     """Return the mean readings of samples [first, last) at rest: (1, n), or of every sample with vibration or drift."""
-    setup, vibration, fs = scenario.setup, scenario.vibration, scenario.setup.sample_rate
+    setup, vibration = scenario.setup, scenario.vibration
+    fs = setup.sample_rate
     still = vibration.amplitude == 0.0 and not sensors.changes
-    middle = np.asarray((np.arange(first, first + 1 if still else last) + 0.5) / fs - late, dtype=float)
+    middle = np.asarray((np.arange(first, first + 1 if still else last) + 0.5) / fs - delay, dtype=float)
     force = np.full(len(middle), setup.gravity)
     if vibration.amplitude > 0.0:
         mean = vibration.amplitude * np.sinc(vibration.frequency / fs)
@@ -120,7 +123,7 @@ def _at_rest(sensors: SimulatedBlock, scenario: Scenario, late: float, L: Array,
 def _in_move(
     sensors: SimulatedBlock,
     scenario: Scenario,
-    late: float,
+    delay: float,
     L: Array,
     move: Array,
     start: float,
@@ -129,12 +132,14 @@ def _in_move(
 ) -> Array:
     """Return the mean readings (last − first, n) of samples of a move from attitude L that starts at time `start`."""
     profile, vibration, fs = scenario.profile, scenario.vibration, scenario.setup.sample_rate
+    earth = np.array(earth_rate(scenario.setup.latitude))
     total = float(np.linalg.norm(move))
-    n, earth = move / total if total > 0.0 else UP, np.array(earth_rate(scenario.setup.latitude))
+    n = move / total if total > 0.0 else UP
     whole = math.floor(start * fs)  # time within the move is counted in samples, for precision late in a log
     passed = (first - whole) - (start * fs - whole)
     # panels end with every sample, every quarter of a cycle of the vibration, and the ramps
-    per_sample, T = 1, profile.duration(total)
+    T = profile.duration(total)
+    per_sample = 1
     if vibration.amplitude > 0.0:
         per_sample += math.ceil(_PANELS_PER_CYCLE * vibration.frequency / fs)
     kinks = np.array([0.0, profile.ramp, T - profile.ramp, T]) * fs - passed
@@ -145,10 +150,10 @@ def _in_move(
     rate, change = (each[..., None] for each in profile.rates((nodes + passed) / fs, total))
     vertical = np.full_like(theta, scenario.setup.gravity)
     if vibration.amplitude > 0.0:
-        seconds = (first + nodes - late * fs) / fs
+        seconds = (first + nodes - delay * fs) / fs
         vertical += vibration.amplitude * np.sin(2.0 * np.pi * vibration.frequency * seconds)
-    earth_b, axis_b = waves(theta) @ turning(n, earth) @ L, n @ L
-    force = vertical[..., None] * waves(theta) @ turning(n, UP) @ L
+    earth_b, axis_b = harmonics(theta) @ harmonic_coefficients(n, earth) @ L, n @ L
+    force = vertical[..., None] * harmonics(theta) @ harmonic_coefficients(n, UP) @ L
     changes = change * axis_b - rate * np.cross(axis_b, earth_b)
     force, rates, changes = (each.reshape(-1, 3) for each in (force, earth_b + rate * axis_b, changes))
     readings = sensors.read(_with_levers(sensors, force, rates, changes), rates, (first + nodes).ravel() / fs)

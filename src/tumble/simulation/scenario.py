@@ -29,6 +29,7 @@ from tumble.simulation.temperature_profile import Climate
 from tumble.units import DEGREE, Array
 
 _MAX_CYCLES_PER_SAMPLE = 10.0
+MOST_POSITIONS = 100_000  # by hand
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -196,11 +197,6 @@ def _attitudes(setup: Setup, rng: np.random.Generator) -> tuple[tuple[int, ...],
     mounting = rotation_matrix(setup.mounting_error * rng.uniform(-1.0, 1.0, 3))
     table = rotation_matrix(setup.table_error * rng.uniform(-1.0, 1.0, (n, 3)))
     return tuple(order.tolist()), table @ nominal @ mounting, programme.moves
-
-
-# -------------------- checks --------------------
-
-MOST_POSITIONS = 100_000  # by hand
 
 
 def _check(scenario: Scenario) -> None:

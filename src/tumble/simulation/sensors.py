@@ -28,13 +28,14 @@ NODES, WEIGHTS = 0.5 * (_LEGENDRE[0] + 1.0), 0.5 * _LEGENDRE[1]
 """Nodes and weights of Gauss–Legendre sums on 0…1, for means over a sample."""
 
 
-def waves(angle: Array) -> Array:
+def harmonics(angle: Array) -> Array:
     """Return 1, cos θ and sin θ (..., 3) of angles (...), rad."""
     return np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=-1)
 
 
-def turning(n: Array, vector: Array) -> Array:
-    """Return rows a, b, c (..., 3, 3) with Rᵀ vector = a + b cos θ + c sin θ for the rotation R by θ about n."""
+def harmonic_coefficients(n: Array, vector: Array) -> Array:
+    """Return rows a, b, c (..., 3, 3) with Rᵀ v = a + b cos θ + c sin θ, for the rotation R by θ about a unit vector n
+    and a `vector` v: the harmonics of θ times these."""
     along = n * np.sum(n * vector, axis=-1, keepdims=True)
     return np.stack([along, vector - along, -np.cross(n, vector)], axis=-2)
 

@@ -87,16 +87,16 @@ def simulate_session(
     for name, number in (("seed", seed), ("launch", launch)):
         if number < 0:
             raise InputError(f"{name}: expected 0 or more, found {number}")
-    truth, course = np.random.default_rng(seed), np.random.default_rng([seed, launch])
-    scenario = scenario_of(setup, truth, serial=f"{setup.instrument}-{seed}", vibration=vibration)
+    of_device, of_launch = np.random.default_rng(seed), np.random.default_rng([seed, launch])
+    scenario = scenario_of(setup, of_device, serial=f"{setup.instrument}-{seed}", vibration=vibration)
     if temperature is not None:
-        geometry, _ = np.random.default_rng([seed, launch]).spawn(2)
+        geometry, _ = np.random.default_rng([seed, launch]).spawn(2)  # that of `record`, for the duration
         duration = float(itinerary(scenario, geometry).rests[-1, 1])
         accel, gyro = temperature.blocks(scenario.accel, scenario.gyro)
-        thermal = draw_thermal(setup.further, setup.instrument, {"accel": accel, "gyro": gyro}, truth)
-        climate = temperature.climate(duration, draw_lags(setup.further, truth))
+        thermal = draw_thermal(setup.further, setup.instrument, {"accel": accel, "gyro": gyro}, of_device)
+        climate = temperature.climate(duration, draw_lags(setup.further, of_device))
         scenario = replace(scenario, accel=accel, gyro=gyro, truth={**scenario.truth, **thermal}, climate=climate)
-    return write_simulation(Path(folder), scenario, course, log_format=log_format)
+    return write_simulation(Path(folder), scenario, of_launch, log_format=log_format)
 
 
 def vibration_of(text: str) -> Vibration:

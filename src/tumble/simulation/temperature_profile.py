@@ -28,7 +28,7 @@ from tumble.sensors.parameters import FURTHER, THERMAL, Variable, to_temperature
 from tumble.units import ZERO_CELSIUS, Array
 
 FINE = 0.1  # s: interval of the temperatures of the sensors
-NODES = 128  # temperatures in the mean over a rest
+_IN_MEAN = 128  # temperatures in the mean over a rest
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,7 +39,10 @@ class Climate:
     kelvin: Array  # (N, T): of the thermometers, linear between the times
     reference: float  # K, at which the parameters have their true values
     lags: Mapping[str, float] = field(default_factory=dict)  # of the sensors behind their thermometers, s, by kind
-    span: tuple[float | Array, float | Array] = (0.0, 1.0)  # middle and half the range of each thermometer, K
+    span: tuple[float | Array, float | Array] = (
+        0.0,
+        1.0,
+    )  # (T,) each: middle and half the range of each thermometer, K
 
     def variables(self, time: Array, block: Block) -> dict[Variable, Array]:
         """Return the variables (N, n) with which parameters of the sensors of a block change, at times (N,), s."""
@@ -53,7 +56,7 @@ class Climate:
 
     def means(self, start: Array, stop: Array, block: Block) -> dict[Variable, Array]:
         """Return the means of these variables from `start` to `stop` (N,), s."""
-        nodes = start[:, None] + (stop - start)[:, None] * (np.arange(NODES) + 0.5) / NODES
+        nodes = start[:, None] + (stop - start)[:, None] * (np.arange(_IN_MEAN) + 0.5) / _IN_MEAN
         variables = self.variables(nodes.ravel(), block)
         return {variable: values.reshape(*nodes.shape, -1).mean(axis=1) for variable, values in variables.items()}
 
@@ -77,8 +80,7 @@ class Climate:
     @cached_property
     def record(self) -> Thermometers:
         """The record of the thermometers."""
-        records: Mapping[int, tuple[Array, Array]] = {0: (self.time, self.kelvin)}
-        return Thermometers.of(records)
+        return Thermometers.of({0: (self.time, self.kelvin)})
 
 
 REFERENCE = 25.0  # °C, at which the parameters of simulated devices have their true values
@@ -88,7 +90,7 @@ _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
 _RISE = rf"([-+](?:\d+\.?\d*|\.\d+))@({_NUMBER})"
 _PROFILE = re.compile(rf"(.+?)((?:{_RISE})*)")
 _LOWEST, _HIGHEST = -100.0, 200.0
-_NODES = 2000  # linear pieces of an exponential, accurate to 1e-6 of its rise in a session of three time constants
+_PIECES = 2000  # linear pieces of an exponential, accurate to 1e-6 of its rise in a session of three time constants
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -106,7 +108,7 @@ class TemperatureProfile:
         time = np.linspace(0.0, duration, len(celsius))
         rise, constant = np.array(self.heating).T
         if rise.any():
-            fine = np.union1d(np.linspace(0.0, duration, _NODES + 1), time)
+            fine = np.union1d(np.linspace(0.0, duration, _PIECES + 1), time)
             celsius, time = np.interp(fine, time, celsius), fine
         kelvin = celsius[:, None] - rise * np.expm1(-time[:, None] / constant) + ZERO_CELSIUS
         low, high = kelvin.min(axis=0), kelvin.max(axis=0)
@@ -177,13 +179,13 @@ def draw_lags(spreads: Mapping[str, float], rng: np.random.Generator) -> dict[st
 
 
 def truth_at(
-    truth: Mapping[str, float], celsius: float | None, own: Callable[[str], float] | None = None
+    truth: Mapping[str, float], celsius: float | None, reference_of: Callable[[str], float] | None = None
 ) -> dict[str, float]:
-    """Return true values at a temperature other than their reference, or each at its `own`; unchanged without one."""
+    """Return true values at another reference temperature, °C, or each at that of `reference_of`; None changes none."""
     if REFERENCE_NAME not in truth or celsius is None:
         return dict(truth)
     names = list(truth)
-    temperatures = np.array([celsius if own is None else own(name) for name in names])
+    temperatures = np.array([celsius if reference_of is None else reference_of(name) for name in names])
     moved = to_temperature(names, temperatures - truth[REFERENCE_NAME]) @ np.array([truth[name] for name in names])
     return dict(zip(names, moved.tolist(), strict=True)) | {REFERENCE_NAME: celsius}
 
