@@ -178,8 +178,8 @@ def test_a_bad_sample_in_a_turn_costs_nothing(tmp_path: Path) -> None:
 
 
 def test_bad_samples_in_every_turn_cost_little(tmp_path: Path) -> None:
-    """Two of a gyro and one of an accelerometer in each turn: judged by parameters from the turns as recorded, some were
-    put back, and parameters were off by up to 108 u."""
+    """Two of a gyro and one of an accelerometer in each turn: judged by parameters from the turns as recorded, some
+    were put back, and parameters were off by up to 108 u."""
     folder = copy_of(session(NINE, seed=1), tmp_path / "s")
     clean, rests = calibrated(NINE, seed=1), inspect_session(folder).segmentation.rests
     log, rng = pl.read_parquet(folder / "log.parquet"), np.random.default_rng(2)
