@@ -54,6 +54,14 @@ def test_numbers_of_more_than_three_columns_are_no_axes(
     assert found == {"accel": tuple(pins[accel : accel + 3]), "gyro": tuple(pins[gyro : gyro + 3])}
 
 
+def test_gyros_that_no_number_shows_are_doubted(rows: Array, tmp_path: Path) -> None:
+    """One of them is stuck, and the accelerometers alone were calibrated without a word."""
+    stuck = np.where(np.arange(7) == 5, rows[500], rows)
+    log = text(tmp_path / "log.csv", f"t,{','.join(f'A{i}' for i in range(6))}\n", stuck)
+    draft, _ = new_session(tmp_path / "s", log)
+    assert any(doubt.startswith("columns A3, A4, A5 are not used: the accelerometers alone") for doubt in draft.doubts)
+
+
 def test_a_refusal_names_what_was_guessed(rows: Array, tmp_path: Path) -> None:
     """Also of the session that the log had before; not of one that is accepted."""
     pins = "t," + ",".join(f"A{i}" for i in range(6))

@@ -77,8 +77,8 @@ def test_a_device_in_the_hand_gives_gyros_too(held: Held, angle: float, frequenc
 
 
 def test_pauses_in_the_hand_are_rests_where_the_device_does_not_stay_in_place() -> None:
-    """Eight pauses of seven seconds, lifted by 15 cm in between: by motion, as if it stayed in place, parameters were off
-    by up to 8 u and a cubic term 500 times as large as usual, accepted with scatter."""
+    """Eight pauses of seven seconds, lifted by 15 cm in between: by motion, as if it stayed in place, parameters were
+    off by up to 8 u and a quadratic term was 500 times as large as usual, accepted with scatter."""
     faces = np.vstack([np.eye(3), -np.eye(3), [[0.7, 0.7, 0.0], [0.0, 0.7, -0.7]]])
     recording = lay(faces[np.random.default_rng(0).permutation(8)], 0, rest=(6.0, 8.0))
     time = np.arange(1, len(recording.accel) + 1) / recording.rate

@@ -164,11 +164,7 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
     by_data = columns_by_data(names, table)
     found = GYRO in by_data.triads and set(by_data.triads[ACCEL].columns) == set(accel)
     if accel and not (found and (by_data.turning or set(by_data.triads[GYRO].columns) <= set(nameless))):
-        if len(nameless) < 3:
-            return log
-        unused = f"columns without names, {', '.join(nameless)}, are not used"
-        doubt = f"{unused}: the accelerometers alone are calibrated; state --gyro if some are gyros"
-        return replace(log, doubts=(doubt,))
+        return log if len(nameless) < 3 else replace(log, doubts=(_without_gyros(nameless),))
     if ACCEL not in by_data.triads:
         return log
     triads = {kind: replace(s, unit=unit_of_name(kind, s.columns[0])) for kind, s in by_data.triads.items()}
@@ -179,9 +175,21 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
         "columns were identified by their numbers, and others would fit too: all values depend on this; state --accel, "
         "--gyro"
     )
-    log = replace(log, doubts=(doubt,)) if by_data.ambiguous else log
+    unused = [name for name in free if name not in (*by_data.sensors, by_data.time)]
+    doubts = (doubt,) if by_data.ambiguous else ()
+    if GYRO not in {**triads, **named.triads} and len(unused) >= 3:
+        doubts += (_without_gyros(unused),)
+    log = replace(log, doubts=(*log.doubts, *doubts))
     return log.with_columns(
         remarks, triads={**triads, **named.triads}, time=named.time or by_data.time, others=(), times=()
+    )
+
+
+def _without_gyros(unused: Sequence[str]) -> str:
+    """Return a doubt about columns that may be gyros."""
+    return (
+        f"columns {', '.join(unused)} are not used: the accelerometers alone are calibrated; state --gyro if some are "
+        "gyros"
     )
 
 
