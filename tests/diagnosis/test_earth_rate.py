@@ -40,7 +40,9 @@ def calibrated(
         accel=log.select("ax", "ay", "az").to_numpy(),
         gyro=log.select("gx", "gy", "gz").to_numpy(),
         latitude=SETUP.latitude + latitude,
-        **({"gravity": SETUP.gravity, "gravity_u": 1e-5} if measured else {"height": 270.0}),
+        height=None if measured else 270.0,
+        gravity=SETUP.gravity if measured else None,
+        gravity_u=1e-5 if measured else None,
         serial="A",
         **({"time": time} if rate is None else {"rate": rate}),
     )

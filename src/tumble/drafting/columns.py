@@ -176,10 +176,10 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
         "--gyro"
     )
     unused = [name for name in free if name not in (*by_data.sensors, by_data.time)]
-    doubts = (doubt,) if by_data.ambiguous else ()
+    doubts = [*log.doubts, doubt] if by_data.ambiguous else [*log.doubts]
     if GYRO not in {**triads, **named.triads} and len(unused) >= 3:
-        doubts += (_without_gyros(unused),)
-    log = replace(log, doubts=(*log.doubts, *doubts))
+        doubts.append(_without_gyros(unused))
+    log = replace(log, doubts=tuple(doubts))
     return log.with_columns(
         remarks, triads={**triads, **named.triads}, time=named.time or by_data.time, others=(), times=()
     )
