@@ -29,17 +29,20 @@ SETUP = Setup.of(grade="navigation", positions=14, rest=30.0, sample_rate=RATE)
 
 
 @cache
-def calibrated(*, rate: float | None = None, stamps: float = 1.0, latitude: float = 0.0) -> Calibration:
+def calibrated(
+    *, rate: float | None = None, stamps: float = 1.0, latitude: float = 0.0, measured: bool = True
+) -> Calibration:
     """A session of a navigation unit of which the rate is stated, or the stamps are so many times too long, and the
-    latitude is stated with an error, rad."""
+    latitude is stated with an error, rad; gravity is measured, or that of the latitude."""
     log = pl.read_parquet(session(SETUP, seed=3) / "log.parquet")
     time = stamps * np.arange(1, len(log) + 1) / RATE
     return calibrate(
         accel=log.select("ax", "ay", "az").to_numpy(),
         gyro=log.select("gx", "gy", "gz").to_numpy(),
         latitude=SETUP.latitude + latitude,
-        gravity=SETUP.gravity,
-        gravity_u=1e-5,
+        height=None if measured else 270.0,
+        gravity=SETUP.gravity if measured else None,
+        gravity_u=1e-5 if measured else None,
         serial="A",
         **({"time": time} if rate is None else {"rate": rate}),
     )
@@ -98,6 +101,15 @@ def test_what_a_wrong_latitude_does_to_the_mean_bias_of_the_session_is_predicted
     (times,) = re.findall(r"gyro.bias.* err by up to ([\d.]+) times", found.outcome.reasons[0])
     assert float(times) == pytest.approx(max(map(abs, errors(found, "gyro.bias"))), rel=0.25)
     assert found.outcome.of("gyro.bias").verdict == "not accepted"
+
+
+def test_scale_factors_by_the_gravity_of_a_wrong_latitude_are_refused_with_it() -> None:
+    """They were accepted all the same, off by 28 u; from gravity that was measured they are right."""
+    found, measured = (calibrated(latitude=-10.0 * DEGREE, measured=each) for each in (False, True))
+    assert max(map(abs, errors(found, "accel.scale"))) > 10.0
+    assert found.outcome.of("accel.scale").verdict == "not accepted"
+    assert max(map(abs, errors(measured, "accel.scale"))) < 4.0
+    assert measured.outcome.of("accel.scale").verdict != "not accepted"
 
 
 @pytest.mark.parametrize(("grade", "times", "named"), [("navigation", -1.0, True), ("tactical", -1.0, True),

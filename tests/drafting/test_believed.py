@@ -40,6 +40,39 @@ def columns_of(folder: Path) -> dict[str, tuple[tuple[str, ...], str]]:
 NAMES = "time,ax,ay,az,gx,gy,gz"
 
 
+@pytest.mark.parametrize("first", [0, 1])
+@pytest.mark.parametrize("gyros_first", [False, True])
+def test_numbers_of_more_than_three_columns_are_no_axes(
+    gyros_first: bool, first: int, rows: Array, tmp_path: Path
+) -> None:
+    """A0 … A5 are the pins of a converter: A1, A2, A3 of them were taken for x, y and z of the accelerometers."""
+    pins, order = [f"A{first + i}" for i in range(6)], [4, 5, 6, 1, 2, 3] if gyros_first else [1, 2, 3, 4, 5, 6]
+    log = text(tmp_path / "log.csv", f"t,{','.join(pins)}\n", rows[:, [0, *order]])
+    new_session(tmp_path / "s", log)
+    accel, gyro = (3, 0) if gyros_first else (0, 3)
+    found = {kind: columns for kind, (columns, _) in columns_of(tmp_path / "s").items()}
+    assert found == {"accel": tuple(pins[accel : accel + 3]), "gyro": tuple(pins[gyro : gyro + 3])}
+
+
+def test_gyros_that_no_number_shows_are_doubted(rows: Array, tmp_path: Path) -> None:
+    """One of them is stuck, and the accelerometers alone were calibrated without a word."""
+    stuck = np.where(np.arange(7) == 5, rows[500], rows)
+    log = text(tmp_path / "log.csv", f"t,{','.join(f'A{i}' for i in range(6))}\n", stuck)
+    draft, _ = new_session(tmp_path / "s", log)
+    assert any(doubt.startswith("columns A3, A4, A5 are not used: the accelerometers alone") for doubt in draft.doubts)
+
+
+def test_a_refusal_names_what_was_guessed(rows: Array, tmp_path: Path) -> None:
+    """Also of the session that the log had before; not of one that is accepted."""
+    pins = "t," + ",".join(f"A{i}" for i in range(6))
+    for name, order, refused in (("bad.csv", [0, 2, 1, 3, 4, 5, 6], True), ("good.csv", range(7), False)):
+        log = text(tmp_path / name, f"{pins}\n", rows[:, list(order)])
+        for _ in range(2):
+            result = CliRunner().invoke(main, ["calibrate", str(log), "--latitude", "56.8", "--terms", "linear"])
+            assert result.exit_code == int(refused), result.stderr
+            assert ("note: gyro: columns A3, A4, A5, by their numbers (a guess)" in result.stderr) == refused
+
+
 @pytest.mark.parametrize(
     ("header", "given", "accel", "gyro"),
     [

@@ -491,6 +491,23 @@ def test_a_reading_beyond_64_bits_is_a_lost_sample(value: str, tmp_path: Path) -
     assert [gap.samples for gap in log.gaps] == [1]
 
 
+@pytest.mark.parametrize("time", [{}, {"time": None, "rate_hz": 100.0}], ids=["times", "no times"])
+@pytest.mark.parametrize("value", ["0", "-1"])
+def test_a_row_in_which_all_sensors_read_one_number_is_lost(value: str, time: dict[str, Any], tmp_path: Path) -> None:
+    """A driver that could not read the chip writes 0, or −1 in counts: three rows in motion moved a scale factor by 4
+    u. The thermometer may have been read. A turn across them can be integrated, as each is a sample."""
+    table = lines()
+    for name in NAMES[1:7]:
+        table = with_values((17, 101, 102), name, value)(table)
+    log = csv_log(tmp_path, table, **time)
+    check_ramp(whole(log))
+    assert [(gap.row, gap.samples, gap.what) for gap in log.gaps] == [
+        (17, 1, f"{value} in every column"),
+        (101, 2, f"{value} in every column"),
+    ]
+    assert all(gap.integrable for gap in log.gaps)
+
+
 @pytest.mark.parametrize("value", NO_NUMBERS)
 @pytest.mark.parametrize("rows", [(1, 2, 3), (17,), (298, 299, 300)])
 def test_a_row_whose_time_is_none_is_left_out(rows: tuple[int, ...], value: str, tmp_path: Path) -> None:

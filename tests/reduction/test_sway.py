@@ -10,6 +10,7 @@ import polars as pl
 import pytest
 
 import tumble
+from tests.support.moving import lay
 from tumble.rotation import rotation_matrix, rotation_vector
 from tumble.simulation.session import read_truth
 from tumble.units import DEGREE, Array
@@ -73,6 +74,24 @@ def test_a_device_in_the_hand_gives_gyros_too(held: Held, angle: float, frequenc
     (note,) = [note for note in made.provenance.notes if "sways" in note]
     assert float(note.split()[4].rstrip("°")) == pytest.approx(angle, rel=0.25)
     assert "put it down on something firm" in note
+
+
+def test_pauses_in_the_hand_are_rests_where_the_device_does_not_stay_in_place() -> None:
+    """Eight pauses of seven seconds, lifted by 15 cm in between: by motion, as if it stayed in place, parameters were
+    off by up to 8 u and a quadratic term was 500 times as large as usual, accepted with scatter."""
+    faces = np.vstack([np.eye(3), -np.eye(3), [[0.7, 0.7, 0.0], [0.0, 0.7, -0.7]]])
+    recording = lay(faces[np.random.default_rng(0).permutation(8)], 0, rest=(6.0, 8.0))
+    time = np.arange(1, len(recording.accel) + 1) / recording.rate
+    truth = {f"accel.bias.{a}": recording.accel_bias[k] for k, a in enumerate("xyz")}
+    truth |= {f"{kind}.scale.{a}": matrix[k, k] - 1.0 for kind, matrix in (
+        ("accel", recording.accel_matrix), ("gyro", recording.gyro_matrix)) for k, a in enumerate("xyz")}  # fmt: skip
+    held = Held(truth=truth, time=time, accel=recording.accel, gyro=recording.gyro)
+    made = tumble.calibrate(**held.swaying(0.2, (0.5, 3.0)), gravity=recording.gravity, gravity_u=1e-4)  # type: ignore[arg-type]
+    assert made.outcome.accepted
+    assert not any(note.startswith("calibrated in motion") for note in made.provenance.notes)
+    for group in ("accel.bias", "accel.scale", "gyro.scale"):
+        error, u = held.errors(made, group)
+        assert np.all(np.abs(error) < 4.0 * u), group
 
 
 def test_the_mean_force_is_as_long_as_gravity_where_the_device_sways(held: Held) -> None:

@@ -56,6 +56,9 @@ def test_a_warm_up_is_in_the_process_of_the_biases_and_said(settles: float, seco
         remark.startswith(("biases of the gyros drift by ", "biases of the gyros wander by "))
         for remark in said.unsteady
     )
+    assert all(
+        "the values given are means over the rests, and u is that of the means" in each for each in said.unsteady
+    )
     assert said.remarks[: len(said.unsteady)] == said.unsteady
     assert said.is_unsteady("gyro.bias")
     assert not said.is_unsteady("gyro.axis")

@@ -142,6 +142,11 @@ def calibrate(
         width=None if shown["every"] else WIDTH,
     )
     console.say(f"written to {target}")
+    if result.outcome.reasons and not shown["every"]:
+        from tumble.drafting.made_session import remarks_of_made
+
+        for sentence in remarks_of_made(Path(described[0].name)):
+            console.say(f"note: {sentence}")
     for other in others:
         for reason in other.outcome.reasons:
             console.warn(f"{other.method}: not accepted: {reason}")

@@ -26,7 +26,7 @@ import numpy as np
 from tumble.advice import Advised, advised, found_in, remedy_of
 from tumble.diagnosis.findings import BIAS_UNITS, SENSORS, UNITS, Finding, with_unit
 from tumble.diagnosis.projection import FALSE_ALARMS, Projection, projections
-from tumble.earth import EARTH_RATE, earth_rate
+from tumble.earth import EARTH_RATE, earth_rate, normal_gravity
 from tumble.inference.integrated_turns import along_paths
 from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.noise import NO_COMPONENTS
@@ -380,8 +380,10 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Cause]:
     If a second of the log lasts 1 + ε s, the angles of turns are larger by ε, which is the effect of scale factors of
     the gyros; velocities change as by lever arms and delays. Only the Earth's rate, (1 + ε) Ω in the log's seconds,
     shows it. The rows are linear in its components along north and up. An error of the latitude moves them along a
-    circle, and its column is the chord to the latitude that fits best, however far the stated one is off."""
-    latitude, rows = session.observations.site.latitude, session.linearised
+    circle, and its column is the chord to the latitude that fits best, however far the stated one is off. Normal
+    gravity of another latitude changes the scale factors of the accelerometers, which no row shows."""
+    site, rows = session.observations.site, session.linearised
+    latitude, height = site.latitude, site.height or 0.0
     assert latitude is not None
     stated, step = session.problem.earth, 1e-4 * EARTH_RATE
     changed = [
@@ -399,8 +401,12 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Cause]:
     best = int(np.argmin(chi_square))
     by_clock = {name: size for name, size in session.observations.by_clock.items() if name == group_name(name)}
     u = max(map(abs, by_clock.values()), default=1.0)
+    by_gravity, moved = dict[str, tuple[float, float]](), float(latitudes[best] - latitude)
+    if site.gravity == normal_gravity(latitude, height):
+        there = normal_gravity(float(np.clip(latitudes[best], -0.5 * np.pi, 0.5 * np.pi)), height)
+        by_gravity["accel.scale"] = (there / site.gravity - 1.0) / moved, 0.0
     for name, along, direct in (
-        ("latitude", changes[best] / (latitudes[best] - latitude), {}),
+        ("latitude", changes[best] / moved, by_gravity),
         ("clock", stated[:2], {group: (size / u, size) for group, size in by_clock.items()}),
     ):
         rest, turn = (each @ along[:, None] for each in by_north_up)

@@ -34,7 +34,7 @@ from tumble.diagnosis.lost_samples import (
     stamps_remedy,
 )
 from tumble.diagnosis.projection import FALSE_ALARMS, SumOfSquares, holm_limit, projections, with_unknown_headings
-from tumble.diagnosis.unusual_sizes import UNUSUAL_RATIO, unusual_groups, usual_sizes, varying_parameters
+from tumble.diagnosis.unusual_sizes import U_OF_MEANS, UNUSUAL_RATIO, unusual_groups, usual_sizes, varying_parameters
 from tumble.inference.estimate import Estimate
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.noise import (
@@ -163,7 +163,9 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
         return tuple(findings)
     by_joint = []
     for one in findings:
-        found = f"by the method joint, {found_in(one.sentence)}".replace(RANDOM_IN_U, "").replace(IN_U, "")
+        found = f"by the method joint, {found_in(one.sentence)}"
+        for of_u in (RANDOM_IN_U, IN_U, U_OF_MEANS):
+            found = found.replace(of_u, "")
         by_joint.append(replace(one, sentence=advised(found, remedy_of(one.sentence))))
     return tuple(by_joint)
 
@@ -311,7 +313,7 @@ def _erratic_biases(linearised: Linearisation) -> Iterator[Finding]:
     noise; a larger change is an error that is no bias. Turns are compared with the verticals of the accelerometers,
     whose errors therefore spoil the scale factors and axes of the gyros as well."""
     rests, components = linearised.problem.observations.rests, linearised.components
-    interval = float(np.median(np.diff(0.5 * (rests.start + rests.stop)))) if len(rests) > 1 else 0.0
+    interval = float(np.median(np.abs(np.diff(0.5 * (rests.start + rests.stop))))) if len(rests) > 1 else 0.0
     for block in linearised.problem.instrument.blocks:
         kind, noise = block.kind, typical_noise(getattr(rests, f"{block.kind}_covariance"))
         size, time = getattr(components, f"{kind}_in_run"), getattr(components, f"{kind}_time")

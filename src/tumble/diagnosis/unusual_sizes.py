@@ -13,6 +13,7 @@ from tumble.inference.linearisation import Linearisation
 from tumble.sensors.parameters import group_of, shown_in
 from tumble.units import two_digits
 
+U_OF_MEANS = "; the values given are means over the rests, and u is that of the means"
 UNUSUAL_RATIO = 3.0
 """Ratio to the usual size above which, by the lower limit of the 68 % interval, an in-run bias or a drift is reported,
 and the in-run bias of one sensor against those of its kind."""
@@ -68,7 +69,7 @@ def varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterato
         return size if size is not None and size.low > UNUSUAL_RATIO * usual[name] else None
 
     def finding(cause: str, parameters: str, found: str, remedy: str = "") -> Finding:
-        sentence = advised(f"{found}{IN_U}", remedy)
+        sentence = advised(f"{found}{U_OF_MEANS}", remedy)
         return Finding(sentence=sentence, concerns=(parameters,), causes=(cause,), unsteady=True)
 
     for block in problem.instrument.blocks:
@@ -88,7 +89,7 @@ def varying_parameters(estimate: Estimate, linearised: Linearisation) -> Iterato
                 yield finding(
                     cause,
                     f"{kind}.{what}",
-                    f"{parameters} drift by {changed} over the session, the values given are means over its rests",
+                    f"{parameters} drift by {changed} over the session",
                     "let the device warm up, or make the session shorter",
                 )
         size, time = by_name.get(f"{kind}_in_run"), by_name.get(f"{kind}_time")

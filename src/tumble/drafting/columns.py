@@ -169,20 +169,28 @@ def _with_columns_by_data(log: ForeignLog) -> ForeignLog:
         has_gyros = GYRO in triads and set(triads[ACCEL].columns) == set(accel)
         if has_gyros and (by_data.turning or set(triads[GYRO].columns) <= set(nameless)):
             return log.with_columns(remarks, triads={**triads, **named.triads})
-        if len(nameless) < 3:
-            return log
-        unused = f"columns without names, {', '.join(nameless)}, are not used"
-        doubt = f"{unused}: the accelerometers alone are calibrated; state --gyro if some are gyros"
-        return replace(log, doubts=(doubt,))
+        return log if len(nameless) < 3 else replace(log, doubts=(_without_gyros(nameless),))
     if ACCEL not in triads:
         return log
     doubt = (
         "columns were identified by their numbers, and others would fit too: all values depend on this; state --accel, "
         "--gyro"
     )
-    log = replace(log, doubts=(doubt,)) if by_data.ambiguous else log
+    unused = [name for name in free if name not in (*by_data.sensors, by_data.time)]
+    doubts = [*log.doubts, doubt] if by_data.ambiguous else [*log.doubts]
+    if GYRO not in {**triads, **named.triads} and len(unused) >= 3:
+        doubts.append(_without_gyros(unused))
+    log = replace(log, doubts=tuple(doubts))
     return log.with_columns(
         remarks, triads={**triads, **named.triads}, time=named.time or by_data.time, others=(), times=()
+    )
+
+
+def _without_gyros(unused: Sequence[str]) -> str:
+    """Return a doubt about columns that may be gyros."""
+    return (
+        f"columns {', '.join(unused)} are not used: the accelerometers alone are calibrated; state --gyro if some are "
+        "gyros"
     )
 
 

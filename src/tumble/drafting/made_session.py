@@ -1,6 +1,7 @@
 """The session that `calibrate LOG` makes beside a log, and reuses if the content of the log is the same.
 
-`made.json` in the session's folder has the hash of the log, the stated options, the name of the log and the version.
+`made.json` in the session's folder has the hash of the log, the stated options, the name of the log, the version, and
+the remarks on how each part was determined.
 The same log with the same options, or none, has the same session, with any corrections by hand; a renamed log keeps the
 serial number of its first name unless one is stated. With other options another session is made beside the former,
 which stays with its calibration: no session is replaced.
@@ -61,8 +62,9 @@ def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tupl
         edited = made[folder].get("session_sha256") != _sha256(folder / SESSION_FILE)
         if made[folder].get("given") == stated and (edited or made[folder].get("version") == __version__):
             by_hand = ", corrected by hand" if edited else ""
+            origin = f"{folder / SESSION_FILE}: the session made earlier from this log{whose}{by_hand}"
             with in_use(folder, shared=True):
-                yield folder, f"{folder / SESSION_FILE}: the session made earlier from this log{whose}{by_hand}", []
+                yield folder, origin, remarks_of_made(folder)
             return
     origin = ""
     if of_log:
@@ -78,13 +80,20 @@ def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tupl
     with nothing_left(folder) as output:
         draft, _ = written_session(output, log, given, progress)
         content = {"log_sha256": log_sha256, "name": name, "given": stated, "version": __version__}
-        content["session_sha256"] = _sha256(folder / SESSION_FILE)
+        content |= {"session_sha256": _sha256(folder / SESSION_FILE), "remarks": draft.remarks}
         with whole_file(output.new_file(MADE)) as temporary:
             temporary.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
         origin += f"kept in {folder / SESSION_FILE}"
         if draft.magnetometer is not None:
             origin += ", where the magnetometer is commented out: remove the # to calibrate it too"
         yield folder, origin, draft.remarks
+
+
+def remarks_of_made(folder: Path) -> Sequence[str]:
+    """Return the remarks on each part of a session that was made of a log; none if it was corrected by hand."""
+    made = _made(folder)
+    unchanged = bool(made) and made.get("session_sha256") == _sha256(folder / SESSION_FILE)
+    return tuple(made.get("remarks", ())) if unchanged else ()
 
 
 def _made(folder: Path) -> dict[str, Any]:

@@ -11,7 +11,8 @@ duration. A blow stops the velocity of the approach: without it Δv is that velo
 size times the interval to Δv; one of rate adds an angle to φ, and through it a velocity.
 
 A suspect that is too large for a blow is replaced in any case. The parameters are those of the linear model at a robust
-maximum, from turns in which nothing else is replaced. With Q = |φ|²/σ_φ² + |Δv|²/σ_v² of a turn, σ² being medians over
+maximum, at first from turns in which all suspects are replaced, which lack blows but contain no corrupt sample, then
+from those that result. With Q = |φ|²/σ_φ² + |Δv|²/σ_v² of a turn, σ² being medians over
 the turns, all suspects of a turn are replaced at first unless Q is smaller by ALIKE with the recorded samples. Then
 runs of suspects are replaced or put back one by one if Q falls, until none changes (at most ROUNDS times).
 """
@@ -33,7 +34,7 @@ from tumble.rotation import unit_vector
 from tumble.units import Array, BoolArray, IntArray
 
 ANGLE, VELOCITY = 1.0, 5.0  # rad, m/s: larger than a blow causes in a sample; a fall from 1.3 m ends with 5 m/s
-ROUNDS = 3  # passes over all suspects; the second undoes replacements of the first that were due to another suspect
+ROUNDS = 3  # passes over all suspects, and fits; the second undoes what another suspect, or the first fit, caused
 ALIKE = 4.0  # difference of Q, two standard deviations, up to which suspects are replaced: it is noise
 MOST_RUNS = 12  # runs of suspects in one turn that are judged one by one; if there are more, all together
 
@@ -52,16 +53,18 @@ def with_mended_samples(observations: Observations) -> Observations:
         deviation = np.hstack([rates[0], forces[0]]) - suspects.values[i]
         angle, velocity = (float(np.abs(part).max() * dt[0]) for part in np.split(deviation, 2))
         impossible[i] = not (angle <= ANGLE and velocity <= VELOCITY)
-    replaced = impossible
-    if not impossible.all():
-        as_recorded = observations.with_bad_samples(_chosen(suspects, impossible))
-        starts = (np.diff(suspects.at) > 1) | (np.diff(suspects.turn) > 0)
-        runs = np.concatenate([[0], np.cumsum(starts)])  # of consecutive samples in one turn
+    replaced = np.ones_like(impossible)
+    starts = (np.diff(suspects.at) > 1) | (np.diff(suspects.turn) > 0)
+    runs = np.concatenate([[0], np.cumsum(starts)])  # of consecutive samples in one turn
+    for _ in range(0 if impossible.all() else ROUNDS):
+        before, mended = replaced, observations.with_bad_samples(_chosen(suspects, replaced))
         try:
             with np.errstate(over="ignore", invalid="ignore"):
-                replaced = impossible | _closing_best(as_recorded, suspects, runs, impossible)[runs]
+                replaced = impossible | _closing_best(mended, suspects, runs, impossible)[runs]
         except np.linalg.LinAlgError:
             return observations
+        if np.array_equal(replaced, before):
+            break
     if replaced.all():
         return observations
     assert observations.turns is not None
@@ -70,9 +73,10 @@ def with_mended_samples(observations: Observations) -> Observations:
     return replace(observations.with_bad_samples(bad), notes=(*others, *bad_sample_notes(bad, first)))
 
 
-def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArray, impossible: BoolArray) -> BoolArray:
-    """Return True for the runs (r,) of suspects to replace; the `impossible` (m,) are replaced in any case."""
-    linear = replace(as_recorded, usual={})
+def _closing_best(mended: Observations, suspects: BadSamples, runs: IntArray, impossible: BoolArray) -> BoolArray:
+    """Return True for the runs (r,) of suspects to replace, by parameters from the turns of `mended`; the `impossible`
+    (m,) are replaced in any case."""
+    linear = replace(mended, usual={})
     instrument, local = instruments_of(linear)
     problem = Problem.of(linear, NO_PRIOR, instrument=instrument, local=local, usual={})
     fitted, _ = maximum_with_lags(initial_linearisation(problem), MAX_ITERATIONS)

@@ -35,12 +35,17 @@ class Kind(Enum):
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Unread:
-    """An unreadable part of a row, and the text found there; `column` is None for the whole row."""
+    """An unreadable part of a row, and the text found there; `column` is None for the whole row, or all its values."""
 
     row: int
     column: str | None
     found: str
     kind: Kind
+
+    @property
+    def is_row(self) -> bool:
+        """Whether the row cannot be read; if its values cannot, it is one."""
+        return self.column is None and self.kind is not Kind.VALUE
 
     @property
     def what(self) -> str:
@@ -50,7 +55,7 @@ class Unread:
             return "the last line is cut"
         if self.column is not None:
             return f"{repr(shown) if shown.strip() else 'an empty value'} in '{self.column[:_SHOWN]}'"
-        return shown if self.kind is Kind.ROW or shown == BLANK_LINE else repr(shown)
+        return shown if self.kind in (Kind.ROW, Kind.VALUE) or shown == BLANK_LINE else repr(shown)
 
 
 Tables = Iterator[tuple[pl.DataFrame, list[Unread]]]

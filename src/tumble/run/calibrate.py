@@ -274,7 +274,7 @@ def _estimated(observed: Observed, options: Options) -> tuple[Estimate, Observat
     if isinstance(observations, Outcome):
         return observations
     result = estimate_observations(observed.session, observations, options)
-    if observations.links is not None and len(observations.rests):
+    if observations.links is not None:
         at_rest = observations_for_calibration(observed, joint=True, motion=False)
         if isinstance(at_rest, Observations):
             by_rests = estimate_observations(observed.session, at_rest, options)

@@ -245,7 +245,7 @@ def _by_direction(kind: str, names: Sequence[str]) -> list[str] | None:
 
 def _stems(names: Iterable[str], *, suffixed: bool) -> dict[tuple[str, str], dict[str, str]]:
     """Return the columns of three axes by kind and stem, then by axis."""
-    stems: dict[tuple[str, str], dict[str, str]] = {}
+    names, stems = list(names), dict[tuple[str, str], dict[str, str]]()
     for name in names:
         words, unit = _words_and_unit(name)
         for axis, stem in _axes(words) or _axis_alone(words):
@@ -254,7 +254,16 @@ def _stems(names: Iterable[str], *, suffixed: bool) -> dict[tuple[str, str], dic
                 kind = sensor_kind(stem[0], unit)
             if kind is not None:
                 stems.setdefault((kind, stem), {}).setdefault(axis, name)
-    return {key: by_axis for key, by_axis in stems.items() if set(by_axis) == set("xyz")}
+    triads = {key: by_axis for key, by_axis in stems.items() if set(by_axis) == set("xyz")}
+    return {key: axes for key, axes in triads.items() if len(key[1]) > 1 or not _is_part_of_series(axes, names)}
+
+
+def _is_part_of_series(by_axis: Mapping[str, str], names: Collection[str]) -> bool:
+    """Return whether the columns of three axes are numbered and not all of their numbers, as A1 … A3 of A0 … A5."""
+    if len({re.sub(r"\d", "", name) for name in by_axis.values()}) > 1:
+        return False
+    ends = ((re.split(r"(\d)(?=\D*$)", by_axis[axis]), step) for axis, step in (("x", -1), ("z", 1)))
+    return any(f"{before}{int(digit) + step}{behind}" in names for (before, digit, behind), step in ends)
 
 
 def groups_by_name(names: Sequence[str]) -> dict[str, list[str]]:

@@ -1,7 +1,8 @@
 """Gaps: runs of lost samples in a file.
 
-A sample is lost if its row is missing or cannot be read, or if one of its numbers is not finite or beyond those of
-64 bits. What is done with a run depends on its length:
+A sample is lost if its row is missing or cannot be read, if one of its numbers is not finite or beyond those of 64
+bits, or if all accelerometers and gyros read one number after rows in which they do not: a driver writes 0, or −1 in
+counts, where it could not read the chip. What is done with a run depends on its length:
 
 * At most five samples are bridged: missing rows are inserted at evenly spaced times, and numbers that are not finite
   are interpolated linearly in time between their neighbours.
@@ -26,7 +27,7 @@ import numpy as np
 import polars as pl
 
 from tumble.errors import LogError
-from tumble.recording.log_source import LogSource, Unread, unread_error
+from tumble.recording.log_source import Kind, LogSource, Unread, unread_error
 from tumble.recording.session import LogSpec
 from tumble.units import TIME_UNITS, Array, BoolArray, IntArray
 
@@ -149,7 +150,8 @@ class Bridge:
 
     `last` is the last row that was passed on, always a sound one. `pending` are lost rows after it whose end is not
     known yet; of a run too long to be bridged only the first rows are kept. `unread` are the unreadable parts of the
-    rows by number; `count` is the number of gaps, `first` the first."""
+    rows by number; `count` is the number of gaps, `first` the first. `differs`: not all sensors read one number so
+    far."""
 
     source: LogSource
     file: int
@@ -161,6 +163,7 @@ class Bridge:
     unread: dict[int, Unread] = field(default_factory=dict)
     count: int = 0
     first: Gap | None = None
+    differs: bool = False
 
     def samples(self, stream: Tables) -> Iterator[tuple[Array, Array, Array]]:
         """Yield times and intervals, s, and numbers of all samples, interpolated if lost."""
@@ -170,6 +173,7 @@ class Bridge:
             if not len(new):  # no new rows of a growing log
                 yield new[:, TIME], new[:, TIME], new[:, READINGS]
                 continue
+            new = self._without_failed_reads(new)
             rows = np.concatenate([self.pending, new]) if len(self.pending) else new
             lost = _lost(rows)
             if self.last is None and lost.any():
@@ -201,6 +205,25 @@ class Bridge:
             raise LogError(f"{self.source.path}: expected at least {_SHORTEST_LOG:g} s, found {length:.6g} s{hint}")
         if len(self.pending):
             self._leave_out(self.pending, n_lost, math.nan)
+
+    def _without_failed_reads(self, rows: Array) -> Array:
+        """Return rows with NaN where all accelerometers and gyros read one number, after a row in which they do not."""
+        if self.spec.gyro is None:
+            return rows
+        sensors = rows[:, READINGS][:, : len(self.spec.accel.columns) + len(self.spec.gyro.columns)]
+        alike = np.asarray(sensors[:, 0] == sensors[:, -1])
+        alike[alike] = (sensors[alike] == sensors[alike, :1]).all(axis=1)
+        if not self.differs:
+            differ = ~alike & is_reading(sensors).all(axis=1)
+            self.differs = bool(differ.any())
+            alike[: int(np.argmax(differ)) if self.differs else len(alike)] = False
+        if alike.any():
+            rows = rows.copy()
+            for row in np.flatnonzero(alike).tolist():
+                number, found = int(rows[row, NUMBER]), f"{rows[row, READINGS][0]:g} in every column"
+                self.unread[number] = Unread(row=number, column=None, found=found, kind=Kind.VALUE)
+            rows[alike, READINGS] = np.nan
+        return rows
 
     def _leave_out(self, lost: Array, samples: int, stop: float) -> None:
         """Report lost samples at the start or the end of the file; `lost` are the first of them."""
@@ -265,7 +288,8 @@ class Bridge:
             samples=samples,
             what=" and ".join(what) or "missing samples",
             stop=float(time[stop]),
-            integrable=not long and not (self.spec.unstamped and None in columns),  # without times it may be no sample
+            # without times a row that cannot be read may be no sample
+            integrable=not long and not (self.spec.unstamped and any(u.is_row for u in unread)),
         )
         self.count += 1
         self.first = self.first or gap

@@ -156,8 +156,11 @@ def _find_bad(values: Array, dt: Array, n_band: int, least: Array, tuning: Tunin
     sides[gap:] = largest[:-gap]
     sides[:-gap] = np.maximum(sides[:-gap], largest[gap:])
     suspects = np.flatnonzero((off > np.maximum(tuning.band_beyond * sides, least)).any(axis=1))
+    values = values.copy()
     for group in np.split(suspects, np.flatnonzero(np.diff(suspects) > reach) + 1) if len(suspects) else ():
-        yield from _bad_run(values, dt, (int(group[0]), int(group[-1]) + 1), n_band, least, tuning)
+        while run := list(_bad_run(values, dt, (int(group[0]), int(group[-1]) + 1), n_band, least, tuning)):
+            values[[at for at, _ in run]] = [replacement for _, replacement in run]
+            yield from run
 
 
 def _sliding_maximum(values: Array, width: int) -> Array:
