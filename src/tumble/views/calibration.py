@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from itertools import chain
 from pathlib import Path
@@ -108,70 +108,82 @@ def calibration_blocks(
     file, session, log
         File of the calibration, its session, and the log that the session was made of.
     """
+    if every:
+        return _complete_blocks(calibration, truth, others, budget=budget)
+    return _short_blocks(calibration, truth, others, budget=budget, file=file, session=session, log=log)
+
+
+def _complete_blocks(
+    calibration: Calibration, truth: Mapping[str, float] | None, others: Sequence[Calibration], *, budget: bool
+) -> list[Block]:
+    """Return all parameters, tables, remarks and notes."""
     parameters, evidence = calibration.parameters, calibration.evidence
-    if not every:
-        outcome = calibration.outcome
-        linear = linear_parameters(parameters)
-        parameters = tuple(p for p in linear if outcome.of(group_name(p.name)).accepted or "mag" in p.name)
-    several, passport = bool(evidence.launches), any(p.deviation is not None for p in parameters)
-    compared = every or passport or bool(truth)
-    by_kind = [*verdicts(calibration)]
-    if spared := accepted_groups(calibration):
-        by_kind.insert(-1, f"accepted all the same: {', '.join(spared)}")
     blocks: list[Block] = [
-        f"device {device_name(calibration.serial, calibration.model)} · method {calibration.method} · frame "
-        f"{calibration.frame}",
-        *(by_kind if every else [by_kind[-1] + (f" ({'; '.join(by_kind[:-1])})" if by_kind[:-1] else "")]),
+        _headline(calibration),
+        *_verdict_lines(calibration),
         *improvement(calibration),
-        *(note for note in calibration.provenance.notes if not every and note.startswith(IN_MOTION)),
-        parameter_table(calibration, parameters, truth) if compared else compact_table(parameters),
-        *([] if every else _over_temperature(calibration)),
+        parameter_table(calibration, parameters, truth),
+        group_table(calibration),
+        *unknown_blocks(calibration),
+        *_budget_and_sessions(calibration, budget=budget, every=True),
     ]
-    blocks += [group_table(calibration), *unknown_blocks(calibration)] if every else []
-    if budget:
-        from tumble.views.uncertainty_budget import budget_blocks
-
-        blocks += budget_blocks(calibration, every=every)
-    sessions = []  # of one common estimate
-    for member in evidence.together:
-        low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
-        counts = {"rests": str(member.rests), "turns": str(member.turns)}
-        sessions.append({"session": member.session, **counts, "from °C": low, "to °C": high})
-    blocks.append(table(sessions, words=("session",)))
-    iterated = [c for c in (calibration, *others) if c.method in ITERATED_METHODS and c.evidence.iterations]
-    if every:
-        if several:
-            blocks += [launch_table(calibration, parameters, deviations=each) for each in (False, True)[: 1 + passport]]
-        for each in iterated:
-            blocks += [f"method {each.method}"] if others else []
-            blocks.append(iteration_table(each, [p for p in each.parameters if p.name in calibration]))
-        blocks += [MEANING_OF_INCREMENTS] if iterated else []
-        blocks += [method_table(calibration, other, parameters) for other in others]
-    lines = list[str]()
-    if truth is not None:
-        z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth])
-        rms = float(np.sqrt(np.mean(z**2))) if len(z) else 0.0
-        compared_with = f"{len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
-        lines.append(f"truth: {compared_with if len(z) else 'no parameter was estimated that it has'}")
-    if every:
-        if not several:
-            from tumble.views.report.recording import recordings, tables_of
-
-            blocks += [shown for shown in tables_of(recordings(calibration)[0]) if shown]
-        lines += [] if calibration.prediction is None else [prediction_text(calibration.prediction)]
-        lines += [rest_summary(evidence)] if evidence.rests and not several else []
-        lines += [f"remark: {remark}" for remark in remarks_of(calibration)]
-        site = calibration.provenance.site
-        lines += [gravity_text(site)] if site is not None and not site.gravity_is_unit else []
-        return [*blocks, Items(items=(*lines, *notes_without_expanded(parameters), *calibration.provenance.notes))]
-    units, spreads = shown_units(parameters), list[str]()
-    for name, members in by_group(parameters).items() if several else ():
-        size, unit = units[members[0].name]
-        rms = math.sqrt(sum((p.run_to_run or 0.0) ** 2 for p in members) / len(members))
-        spreads.append(f"{name} {significant(rms / size, 2)} {unit}")
-    lines += [f"from launch to launch: {', '.join(spreads)}"] if several else []
+    if evidence.launches:
+        blocks.append(launch_table(calibration, parameters))
+        if any(p.deviation is not None for p in parameters):
+            blocks.append(launch_table(calibration, parameters, deviations=True))
+    iterated = _iterated(calibration, others)
     for each in iterated:
-        steps, done = each.evidence.iterations, "one iteration; a second (--iterations 2) would show its error"
+        blocks += [f"method {each.method}"] if others else []
+        blocks.append(iteration_table(each, [p for p in each.parameters if p.name in calibration]))
+    blocks += [MEANING_OF_INCREMENTS] if iterated else []
+    blocks += [method_table(calibration, other, parameters) for other in others]
+    lines = _truth_lines(calibration, truth)
+    if not evidence.launches:
+        from tumble.views.report.recording import recordings, tables_of
+
+        blocks += [shown for shown in tables_of(recordings(calibration)[0]) if shown]
+    if calibration.prediction is not None:
+        lines.append(prediction_text(calibration.prediction))
+    if evidence.rests and not evidence.launches:
+        lines.append(rest_summary(evidence))
+    lines += [f"remark: {remark}" for remark in remarks_of(calibration)]
+    site = calibration.provenance.site
+    if site is not None and not site.gravity_is_unit:
+        lines.append(gravity_text(site))
+    return [*blocks, Items(items=(*lines, *notes_without_expanded(parameters), *calibration.provenance.notes))]
+
+
+def _short_blocks(
+    calibration: Calibration,
+    truth: Mapping[str, float] | None,
+    others: Sequence[Calibration],
+    *,
+    budget: bool,
+    file: FilePath,
+    session: FilePath,
+    log: FilePath,
+) -> list[Block]:
+    """Return the accepted linear parameters, as many remarks as fit on MAX_LINES lines, and the next command."""
+    outcome = calibration.outcome
+    linear = linear_parameters(calibration.parameters)
+    parameters = tuple(p for p in linear if outcome.of(group_name(p.name)).accepted or "mag" in p.name)
+    *by_kind, verdict = _verdict_lines(calibration)
+    compared = bool(truth) or any(p.deviation is not None for p in parameters)
+    blocks: list[Block] = [
+        _headline(calibration),
+        verdict + (f" ({'; '.join(by_kind)})" if by_kind else ""),
+        *improvement(calibration),
+        *(note for note in calibration.provenance.notes if note.startswith(IN_MOTION)),
+        parameter_table(calibration, parameters, truth) if compared else compact_table(parameters),
+        *_over_temperature(calibration),
+        *_budget_and_sessions(calibration, budget=budget, every=False),
+    ]
+    lines = _truth_lines(calibration, truth)
+    if calibration.evidence.launches:
+        lines.append(f"from launch to launch: {', '.join(_spreads(parameters))}")
+    for each in _iterated(calibration, others):
+        steps = each.evidence.iterations
+        done = "one iteration; a second (--iterations 2) would show its error"
         if len(steps) > 1:
             done = f"the last of {len(steps)} iterations added {_largest_change(each, steps[-1])}"
         lines.append(f"{each.method}: {done}")
@@ -183,20 +195,79 @@ def calibration_blocks(
     lines += notes_without_expanded(parameters)
     if minor := _minor_assumptions(calibration):
         lines.append(f"smaller parts of u: {'; '.join(re.split('[:,] ', each)[0] for each in minor)}")
-    if accepted_kinds(calibration):
-        name, others_of_kind = _export_target(calibration, log)
-        to = f"{name} -o imu{target(name).ending} ({others_of_kind}others: --help)"
-        following = f"next: tumble export {shlex.quote(str(file))} --to {to}"
-    else:
-        there = "the rests and turns that were found" if evidence.rests else "what was found in the recording"
-        following = f"next: tumble inspect {shlex.quote(str(session))} ({there})"
+    following = _next_command(calibration, file, session, log)
     height = len(text_of([*blocks, Items(items=(*lines, "")), following], WIDTH).splitlines())
     remarks = _fitting_remarks(calibration, MAX_LINES - height)
-    remarks[-1] += tables_at(f"{session}/session.toml", *remarks, *calibration.outcome.reasons)
+    remarks[-1] += tables_at(f"{session}/session.toml", *remarks, *outcome.reasons)
     return [*blocks, Items(items=(*lines, *remarks)), following]
 
 
-MAX_LINES, WIDTH, MAX_REMARKS = 24, 100, 3  # lines, characters of a line, remarks without --all
+def _headline(calibration: Calibration) -> str:
+    device = device_name(calibration.serial, calibration.model)
+    return f"device {device} · method {calibration.method} · frame {calibration.frame}"
+
+
+def _verdict_lines(calibration: Calibration) -> list[str]:
+    """Return the verdicts on kinds of sensors and groups that differ, then that on the whole calibration."""
+    lines = [*verdicts(calibration)]
+    if spared := accepted_groups(calibration):
+        lines.insert(-1, f"accepted all the same: {', '.join(spared)}")
+    return lines
+
+
+def _budget_and_sessions(calibration: Calibration, *, budget: bool, every: bool) -> Iterator[Block]:
+    """Yield the uncertainty budget if `budget`, and a table of the sessions of a common estimate."""
+    if budget:
+        from tumble.views.uncertainty_budget import budget_blocks
+
+        yield from budget_blocks(calibration, every=every)
+    rows = []
+    for member in calibration.evidence.together:
+        low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
+        counts = {"rests": str(member.rests), "turns": str(member.turns)}
+        rows.append({"session": member.session, **counts, "from °C": low, "to °C": high})
+    yield table(rows, words=("session",))
+
+
+def _iterated(calibration: Calibration, others: Sequence[Calibration]) -> list[Calibration]:
+    """Return the calibrations by methods of the paper that have iterations."""
+    return [each for each in (calibration, *others) if each.method in ITERATED_METHODS and each.evidence.iterations]
+
+
+def _truth_lines(calibration: Calibration, truth: Mapping[str, float] | None) -> list[str]:
+    """Return a sentence on the errors of the parameters in units of u; empty without true values."""
+    if truth is None:
+        return []
+    z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth])
+    if len(z) == 0:
+        return ["truth: no parameter was estimated that it has"]
+    rms = float(np.sqrt(np.mean(z**2)))
+    return [f"truth: {len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"]
+
+
+def _spreads(parameters: Sequence[Parameter]) -> Iterator[str]:
+    """Yield the standard deviation from launch to launch of each group, the root mean square over its parameters."""
+    units = shown_units(parameters)
+    for name, members in by_group(parameters).items():
+        size, unit = units[members[0].name]
+        rms = math.sqrt(sum((p.run_to_run or 0.0) ** 2 for p in members) / len(members))
+        yield f"{name} {significant(rms / size, 2)} {unit}"
+
+
+def _next_command(calibration: Calibration, file: FilePath, session: FilePath, log: FilePath) -> str:
+    """Return the command that follows: the export of an accepted calibration, else the inspection of its session."""
+    if accepted_kinds(calibration):
+        name, others_of_kind = _export_target(calibration, log)
+        to = f"{name} -o imu{target(name).ending} ({others_of_kind}others: --help)"
+        return f"next: tumble export {shlex.quote(str(file))} --to {to}"
+    there = "the rests and turns that were found" if calibration.evidence.rests else "what was found in the recording"
+    return f"next: tumble inspect {shlex.quote(str(session))} ({there})"
+
+
+# without --all:
+MAX_LINES = 24
+WIDTH = 100  # characters of a line
+MAX_REMARKS = 3
 _TARGETS = {"ardupilot": "ardupilot", "ulog": "px4", "ros": "kalibr"}  # by the format of a recording
 _TARGETS_BY_COLUMN = {"accSmooth[0]": "betaflight", "accelerometer_m_s2[0]": "px4"}  # of decoded logs
 
