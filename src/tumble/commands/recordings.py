@@ -63,7 +63,8 @@ def session_folders(
     A log is a file other than session.toml, a folder without one, or anything given with `options` of `params.LOG`.
     With `every`, notes on how each part of the session was determined are printed, otherwise only those on other
     sensors in the recording and on corrections of it."""
-    first, stated = recordings[0], any(value is not None for value in options.values())
+    first = recordings[0]
+    stated = any(value is not None for value in options.values())
     if not stated and (len(recordings) > 1 or not is_log(first)):
         yield recordings
         return

@@ -68,7 +68,7 @@ def check(
             found = check_calibration(calibration, checked, launches=launches)
     else:
         found = check_stream(calibration, listen, session=session, show=_show)
-    if console.as_json() and listen is not None:
+    if console.wants_json() and listen is not None:
         console.print_json({"event": "check", **as_json(found)})
     else:
         console.show(found, lambda: check_blocks(found, rests=listen is None))
@@ -96,8 +96,9 @@ def _show(event: Event) -> None:
     from tumble.use.check import CheckedRest, change_text
     from tumble.views.checks import event_line
 
+    """Print a rest or a notice of a stream, and the biases that have moved by a rest."""
     rest = event if isinstance(event, CheckedRest) else None
-    if console.as_json():
+    if console.wants_json():
         console.print_json({"event": "notice" if rest is None else "rest", **as_json(event)})
     else:
         click.echo(event_line(event))
