@@ -89,21 +89,7 @@ class SelftestRecord:
 
 
 def run_selftest(*, by: str | None = None, progress: Callable[[str], None] = lambda _name: None) -> SelftestRecord:
-    """Run all cases.
-
-    Parameters
-    ----------
-    by
-        Name of the operator; default: the name of the user.
-    progress
-        Function that is called with the name of each case before it runs.
-
-    Examples
-    --------
-    >>> import tumble
-    >>> tumble.run_selftest().passed
-    True
-    """
+    """Run all cases, each after a call of `progress` with its name; `by` is the operator, by default the user."""
     cases: list[SelftestCase] = []
     for run in (_gravity, _allan_deviation, _cube, _noiseless, _noisy_table, _launches, _exchanged_columns):
         progress(run.__doc__ or "")

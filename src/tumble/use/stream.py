@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -101,17 +102,11 @@ class StreamCheck:
         self._restarted = False  # whether the next rest is the first of another power-on
         self._too_warm = False
         self._last_sample: tuple[int, float] | None = None  # number of its file, and time, s
-        self._rest_stream = self._new_rest_stream()
-
-    def _new_rest_stream(self) -> RestStream:
-        session = self.session
-        return RestStream(
-            rate=self.rate,
-            accel=session.accel_block,
-            gyro=self._gyro,
-            site=session.site,
-            increments=session.log.increments,
+        accel, increments = session.accel_block, session.log.increments
+        self._new_rest_stream = partial(
+            RestStream, rate=sample_rate, accel=accel, gyro=self._gyro, site=session.site, increments=increments
         )
+        self._rest_stream = self._new_rest_stream()
 
     def feed(self, chunk: Chunk) -> list[Event]:
         """Add samples; return the rests that have ended, and notices, in the order of time."""

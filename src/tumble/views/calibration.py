@@ -91,23 +91,11 @@ def calibration_blocks(
 ) -> list[Block]:
     """Return the output of `tumble calibrate`: verdict, improvement, parameters, remarks, and the next command.
 
-    Parameters
-    ----------
-    calibration
-        The calibration.
-    truth
-        True values by the names of parameters.
-    others
-        Calibrations of the same sessions by other methods.
-    every
-        Show all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, all remarks and
-        notes. Otherwise show the accepted linear parameters, one group per row unless values are compared, a line on
-        launches, iterations and other methods, and at most MAX_REMARKS remarks, on MAX_LINES lines.
-    budget
-        Show the uncertainty budget.
-    file, session, log
-        File of the calibration, its session, and the log that the session was made of.
-    """
+    With `every` it has all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, all
+    remarks and notes; otherwise the accepted linear parameters, one group per row unless values are compared, a line on
+    launches, iterations and other methods, and at most MAX_REMARKS remarks, on MAX_LINES lines. `truth` are true values
+    by the names of parameters, `others` calibrations of the same sessions by other methods. `budget` adds the
+    uncertainty budget. `file`, `session` and `log` are those of the calibration, for the next command."""
     if every:
         return _complete_blocks(calibration, truth, others, budget=budget)
     return _short_blocks(calibration, truth, others, budget=budget, file=file, session=session, log=log)

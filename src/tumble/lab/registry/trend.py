@@ -130,15 +130,8 @@ class Trend:
 
 
 def trend_of(past: Sequence[tuple[Record, Calibration]], limits: Limits | None) -> Trend:
-    """Return the trend of a device.
-
-    Parameters
-    ----------
-    past
-        Records with their calibrations, in one frame and in chronological order.
-    limits
-        Acceptance limits that are in force now.
-    """
+    """Return the trend of a device from its records with their calibrations, in one frame and in chronological order,
+    and the limits that are in force now."""
     points, units = dict[str, list[Point]](), dict[str, str]()
     for record, calibration in reversed(past):  # parameters in the order of the latest calibration
         # changes (m,) by one standard uncertainty of errors that another calibration of the device may share
@@ -237,7 +230,7 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
 
     def excess(tau: float) -> float:
         """Return the sum of both chi-squares less its degrees of freedom."""
-        return fit_line(tau)[2] + float(np.sum(np.array(squares) / (np.array(within) + tau**2))) - degrees
+        return float(fit_line(tau)[2] + np.sum(np.array(squares) / (np.array(within) + tau**2)) - degrees)
 
     degrees = len(points) - X.shape[1] + int((count - 1.0).sum())
     tau = fit_scatter(excess, float(np.median(np.sqrt(variance)))) if degrees > 0 else None
