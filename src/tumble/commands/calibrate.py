@@ -207,8 +207,7 @@ def _gyros_alone(logs: Sequence[Path], stated: dict[str, Any], out: Path | None,
 def ellipsoid(readings: Path, positions: tuple[str, ...], out: Path | None, force: bool, **options: Any) -> None:
     """Calibrate three accelerometers from READINGS.csv, their mean readings in nine or more positions.
 
-    The table has a header with the names of three columns, one per channel, and a row per position.
-    """
+    The table has a header with the names of three columns, one per channel, and a row per position."""
     from tumble.run.from_readings import calibrate_readings
     from tumble.views.readings import readings_blocks
 

@@ -41,8 +41,7 @@ def check(
 
     A stream is checked rest by rest until it ends or is stopped with Ctrl-C. The file CALIBRATION is never changed.
 
-    Exit status 0: no change is shown; 1: something has changed.
-    """
+    Exit status 0: no change is shown; 1: something has changed."""
     from tumble.documents import as_json
     from tumble.recording.session_file import read_session
     from tumble.run.readings_table import is_table
@@ -113,8 +112,7 @@ def _show(event: Event) -> None:
 def compare(first: Path, second: Path) -> None:
     """Differences of two calibration files in units of their combined uncertainty, and E_n numbers.
 
-    Exit status 0: chance explains the largest |E_n| (probability 0.01 of all together) and χ² (0.001); 1: otherwise.
-    """
+    Exit status 0: chance explains the largest |E_n| (probability 0.01 of all together) and χ² (0.001); 1: otherwise."""
     from tumble.use.compare import compare_calibrations
     from tumble.views.checks import comparison_blocks
 
@@ -136,8 +134,7 @@ def apply(calibration: Path, recording: Path, out: Path, force: bool) -> None:
     """Correct the recording of a session, or a log, with CALIBRATION, a calibration file of the same device.
 
     Corrected values are in SI under the session's column names, or in the unit that these names say; every other column
-    is copied.
-    """
+    is copied."""
     from tumble.recording.session_file import read_session
     from tumble.use.apply import apply_to_session, correction_notes
 

@@ -37,6 +37,7 @@ from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.temperature_curves import measured_range, rests_with_temperature, thermal_parameters
+from tumble.rotation import rotation_vector
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import OVER_TEMPERATURE, group_name
 from tumble.units import DEGREE, TESLA, Array
@@ -325,7 +326,7 @@ def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[Mapping[str, A
         reason += "" if math.isinf(pilot.most_across) else f" and {pilot.most_across:g}"
     if reason:
         return None, [], [f"the magnetometer, which the autopilot takes for damaged: {reason}"]
-    angle = math.acos(min(1.0, 0.5 * (float(np.trace(R)) - 1.0))) / DEGREE
+    angle = float(np.linalg.norm(rotation_vector(R))) / DEGREE
     remark = (
         "magnetometer: taken for the first; its id in the autopilot has to be that of this sensor already, in the axes "
         f"that were recorded; turned by {angle:.2g} deg so that its matrix is symmetric"
