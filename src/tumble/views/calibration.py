@@ -394,21 +394,26 @@ def group_table(calibration: Calibration, *, on_page: bool = False) -> Table:
     members_of = {name: list[Parameter]() for name in findings} | by_group(further_parameters(calibration.parameters))
     for name, members in members_of.items():
         finding, entry = findings.get(name), named_group(name)
-        largest = max(members, key=lambda p: abs(p.value), default=None)
-        prior = finding.prior if finding is not None else next((p.prior for p in members if p.prior), None)
-        learned = finding.learned if finding is not None else [p.learned for p in members if p.learned is not None]
-        remark = "not determined" if largest is None else ""
-        if largest is not None and finding is not None and finding.prior_widened > WIDENED:
-            remark = f"{finding.prior_widened:.2g} times the usual size"
-        si = largest.unit if largest is not None else entry.unit if entry is not None else ""
-        size, unit = shown_in(name, si, abs(largest.value) if largest is not None else prior or 0.0)
-        value, u = ("", "") if largest is None else cells(abs(largest.value), largest.u, size)
-        row = {"group": name} | ({"what it is": name if entry is None else entry.words} if on_page else {})
+        prior = next((p.prior for p in members if p.prior), None)
+        learned: Sequence[float] = [p.learned for p in members if p.learned is not None]
+        if finding is not None:
+            prior, learned = finding.prior, finding.learned
+        if members:
+            largest = max(members, key=lambda p: abs(p.value))
+            size, unit = shown_in(name, largest.unit, abs(largest.value))
+            value, u = cells(abs(largest.value), largest.u, size)
+            ends = [f"{100.0 * end(learned):.0f}" for end in (min, max)] if learned else []
+            from_data = "–".join(dict.fromkeys(ends)) + " %" * bool(ends)
+            widened = 1.0 if finding is None else finding.prior_widened
+            remark = f"{widened:.2g} times the usual size" if widened > WIDENED else ""
+        else:
+            size, unit = shown_in(name, "" if entry is None else entry.unit, prior or 0.0)
+            value, u, from_data, remark = "", "", "", "not determined"
+        row = {"group": name}
+        row |= {"what it is": name if entry is None else entry.words} if on_page else {}
         row |= {"largest": value, "u (k=1)": u}
         row |= {"prior": "" if prior is None else significant(prior / size, 4)} if on_page else {}
-        ends = [f"{100.0 * end(learned):.0f}" for end in (min, max)] if learned and largest is not None else []
-        from_data = "–".join(dict.fromkeys(ends)) + " %" * bool(ends)
-        rows.append(row | {"unit": unit if largest or on_page else "", FROM_DATA: from_data, "": remark})
+        rows.append(row | {"unit": unit if members or on_page else "", FROM_DATA: from_data, "": remark})
     return table(rows, words=("group", "what it is", "unit", ""), dense=True)
 
 
