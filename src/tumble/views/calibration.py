@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from html import escape
 from itertools import chain
 from pathlib import Path
@@ -98,7 +98,43 @@ def calibration_blocks(
     uncertainty budget. `file`, `session` and `log` are those of the calibration, for the next command."""
     if every:
         return _complete_blocks(calibration, truth, others, budget=budget)
-    return _short_blocks(calibration, truth, others, budget=budget, file=file, session=session, log=log)
+    outcome = calibration.outcome
+    linear = linear_parameters(calibration.parameters)
+    parameters = tuple(p for p in linear if outcome.of(group_name(p.name)).accepted or "mag" in p.name)
+    *by_kind, verdict = _verdict_lines(calibration)
+    compared = bool(truth) or any(p.deviation is not None for p in parameters)
+    blocks: list[Block] = [
+        _headline(calibration),
+        verdict + (f" ({'; '.join(by_kind)})" if by_kind else ""),
+        *improvement(calibration),
+        *(note for note in calibration.provenance.notes if note.startswith(IN_MOTION)),
+        parameter_table(calibration, parameters, truth) if compared else compact_table(parameters),
+        *_over_temperature(calibration),
+        *_budget_and_sessions(calibration, budget=budget, every=False),
+    ]
+    lines = _truth_lines(calibration, truth)
+    if calibration.evidence.launches:
+        lines.append(f"from launch to launch: {', '.join(_spreads(parameters))}")
+    for each in _iterated(calibration, others):
+        steps = each.evidence.iterations
+        done = "one iteration; a second (--iterations 2) would show its error"
+        if len(steps) > 1:
+            done = f"the last of {len(steps)} iterations added {_largest_change(each, steps[-1])}"
+        lines.append(f"{each.method}: {done}")
+    for other in others:
+        changes = {p.name: other[p.name].value - p.value for p in calibration.parameters if p.name in other}
+        lines.append(
+            f"{other.method} differs from {calibration.method} by {_largest_change(calibration, changes, other)}"
+        )
+    lines += notes_without_expanded(parameters)
+    minor = _minor_assumptions(calibration)
+    if minor:
+        lines.append(f"smaller parts of u: {'; '.join(re.split('[:,] ', each)[0] for each in minor)}")
+    following = _next_command(calibration, file, session, log)
+    height = len(text_of([*blocks, Items(items=(*lines, "")), following], WIDTH).splitlines())
+    remarks = _fitting_remarks(calibration, minor, MAX_LINES - height)
+    remarks[-1] += tables_at(f"{session}/session.toml", *remarks, *outcome.reasons)
+    return [*blocks, Items(items=(*lines, *remarks)), following]
 
 
 def _complete_blocks(
@@ -139,55 +175,6 @@ def _complete_blocks(
     if site is not None and not site.gravity_is_unit:
         lines.append(gravity_text(site))
     return [*blocks, Items(items=(*lines, *notes_without_expanded(parameters), *calibration.provenance.notes))]
-
-
-def _short_blocks(
-    calibration: Calibration,
-    truth: Mapping[str, float] | None,
-    others: Sequence[Calibration],
-    *,
-    budget: bool,
-    file: FilePath,
-    session: FilePath,
-    log: FilePath,
-) -> list[Block]:
-    """Return the accepted linear parameters, as many remarks as fit on MAX_LINES lines, and the next command."""
-    outcome = calibration.outcome
-    linear = linear_parameters(calibration.parameters)
-    parameters = tuple(p for p in linear if outcome.of(group_name(p.name)).accepted or "mag" in p.name)
-    *by_kind, verdict = _verdict_lines(calibration)
-    compared = bool(truth) or any(p.deviation is not None for p in parameters)
-    blocks: list[Block] = [
-        _headline(calibration),
-        verdict + (f" ({'; '.join(by_kind)})" if by_kind else ""),
-        *improvement(calibration),
-        *(note for note in calibration.provenance.notes if note.startswith(IN_MOTION)),
-        parameter_table(calibration, parameters, truth) if compared else compact_table(parameters),
-        *_over_temperature(calibration),
-        *_budget_and_sessions(calibration, budget=budget, every=False),
-    ]
-    lines = _truth_lines(calibration, truth)
-    if calibration.evidence.launches:
-        lines.append(f"from launch to launch: {', '.join(_spreads(parameters))}")
-    for each in _iterated(calibration, others):
-        steps = each.evidence.iterations
-        done = "one iteration; a second (--iterations 2) would show its error"
-        if len(steps) > 1:
-            done = f"the last of {len(steps)} iterations added {_largest_change(each, steps[-1])}"
-        lines.append(f"{each.method}: {done}")
-    for other in others:
-        changes = {p.name: other[p.name].value - p.value for p in calibration.parameters if p.name in other}
-        lines.append(
-            f"{other.method} differs from {calibration.method} by {_largest_change(calibration, changes, other)}"
-        )
-    lines += notes_without_expanded(parameters)
-    if minor := _minor_assumptions(calibration):
-        lines.append(f"smaller parts of u: {'; '.join(re.split('[:,] ', each)[0] for each in minor)}")
-    following = _next_command(calibration, file, session, log)
-    height = len(text_of([*blocks, Items(items=(*lines, "")), following], WIDTH).splitlines())
-    remarks = _fitting_remarks(calibration, MAX_LINES - height)
-    remarks[-1] += tables_at(f"{session}/session.toml", *remarks, *outcome.reasons)
-    return [*blocks, Items(items=(*lines, *remarks)), following]
 
 
 def _headline(calibration: Calibration) -> str:
@@ -298,11 +285,11 @@ def _minor_assumptions(calibration: Calibration) -> list[str]:
     return minor
 
 
-def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
-    """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, and a line on the others.
+def _fitting_remarks(calibration: Calibration, minor: Collection[str], max_lines: int) -> list[str]:
+    """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, without the `minor` ones, and a
+    line on the others.
 
     Turns that were left out are in u, so they come after doubts and unexplained residuals and before assumptions."""
-    minor = _minor_assumptions(calibration)
     remarks = [each for each in remarks_of(calibration) if each not in minor]
     notes, shown = calibration.provenance.notes, list[str]()
     if lost := [note for note in notes if note.startswith("turn ") and " is left out" in note]:
