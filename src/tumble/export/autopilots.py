@@ -191,9 +191,8 @@ def _cubic(pilot: Autopilot, slopes: Array, reference: float) -> Array:
 
 
 def _shared_thermometers(pilot: Autopilot, calibration: Calibration, applied: Sequence[Triad]) -> list[str]:
-    """Return sentences on the errors of sensors that have several thermometers in the calibration and one in the
-    target. They follow from the differences between the thermometers at the rests, less the mean difference, which the
-    reference temperatures contain."""
+    """Return sentences on the errors of sensors with several thermometers in the calibration and one in the target,
+    by the differences between these at the rests, less their mean, which the reference temperatures contain."""
     notes = []
     for sharing in pilot.thermometers:
         by_kind = {each.kind: each for each in applied if each.kind in sharing and each.measured is not None}

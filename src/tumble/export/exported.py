@@ -201,11 +201,9 @@ def _groups_not_held(calibration: Calibration, held: Container[str] = ()) -> lis
     }
     out = ["matrix and bias of the magnetometer"] if calibration.mag and MAGNETOMETER not in held else []
     for kind, (model, u) in by_kind.items():
-        if model is None:
-            continue
         # groups with regressors are in the errors of corrected readings (`_largest_errors`)
         further = [g for g in groups() if g.kind == kind and g.regressors is None and not g.linear]
-        lost = [g for g in further if g.name in present and g.name not in held]
+        lost = [g for g in further if model is not None and g.name in present and g.name not in held]
         effects = sorted(((*_largest_effect(calibration, group), group) for group in lost), key=lambda each: -each[0])
         for place, (error, where, group) in enumerate(each for each in effects if each[0] >= NEGLIGIBLE * u):
             size = f" ({in_units(group.kind, error)} {where})" if place < MOST_STATED else ""

@@ -52,8 +52,8 @@ def registry() -> None:
 @params.EVERY
 def add(calibration: Path, day: datetime | None, every: bool, place: str, **particulars: Any) -> None:
     """Add a CALIBRATION file and judge it by the limits in force. Exit status 1 if it does not pass."""
-
-    begun, performed = datetime.now(UTC), None if day is None else day.replace(tzinfo=UTC)
+    begun = datetime.now(UTC)
+    performed = None if day is None else day.replace(tzinfo=UTC)
     with lab.open_registry(place, create=True) as opened:
         record = opened.add_calibration(calibration, performed=performed, **particulars)
         action = "added as" if record.added >= begun else "the same calibration is there already:"

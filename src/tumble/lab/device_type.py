@@ -216,8 +216,7 @@ def _marginal(unit: Unit, names: Sequence[str]) -> tuple[Array, Array]:
     gain = unit.information[np.ix_(kept, others)] @ symmetric_inverse(
         unit.information[np.ix_(others, others)] + np.diag(unit.usual[others])
     )
-    information = np.zeros((len(names), len(names)))
-    shift = np.zeros(len(names))
+    information, shift = np.zeros((len(names), len(names))), np.zeros(len(names))
     information[np.ix_(rows, rows)] = (
         unit.information[np.ix_(kept, kept)] - gain @ unit.information[np.ix_(others, kept)]
     )

@@ -276,9 +276,8 @@ def _corrected_vectors(
 
 
 def _steps(time: Array, before: float, interval: float, path: Path) -> Array:
-    """Return the steps in time (N,) up to each row, s, without missing samples; `before` is the time of the row before.
-
-    Raises LogError if the times do not increase."""
+    """Return the steps in time (N,) up to each row, s, without missing samples; `before` is the time of the row before
+    the first. Raises LogError if the times do not increase."""
     steps = np.diff(time, prepend=before)
     if not (steps > 0.0).all():
         when = time[np.argmin(steps > 0.0)]

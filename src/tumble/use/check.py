@@ -255,14 +255,12 @@ def check_calibration(
     if not result.explained and observations.gyro_block is not None:
         at_rest = observations.of_accelerometers()
         rests_agree = field_check(at_rest, prior_at_check(converted, at_rest, grade, data_sheet, launches)).valid
-    celsius, of_device = mean_temperature(observations), _all_launches(converted, launches)
-    notes = _assumptions(converted, celsius, grade, guessed_from, of_device)
     return replace(
         check,
         turns=0 if observations.turns is None else len(observations.turns),
         **parameter_test_fields(result),
         rests_agree=rests_agree,
-        notes=(*check.notes, *notes),
+        notes=(*check.notes, *_assumptions(converted, mean_temperature(observations), grade, guessed_from, launches)),
     )
 
 
@@ -277,10 +275,11 @@ def _gravity_check(source: str, residuals: PositionResiduals, **columns: Sequenc
 def _assumptions(
     calibration: Calibration, celsius: float | None, grade: str, guessed_from: str, launches: Sequence[LaunchVariances]
 ) -> Iterator[str]:
-    """Return notes on changes from one power-on to the next, and on the temperature of the check, °C."""
+    """Yield notes on changes from one power-on to the next, and on the temperature of the check, °C; `launches` are
+    those of other calibrations of the device."""
     origin = f", guessed from {guessed_from}; [device] grade states another" if guessed_from else ""
-    count = sum(each.degrees + 1 for each in launches)
-    by_launches = f", or as from launch to launch of {count} launches of the device" if launches else ""
+    count = sum(each.degrees + 1 for each in _all_launches(calibration, launches))
+    by_launches = f", or as from launch to launch of {count} launches of the device" if count else ""
     yield (
         f"what turning on again changes: as usual of the grade {grade}{by_launches}{origin}; it is allowed for in the "
         "tests of the parameters, and not in u of g − |f|"

@@ -238,9 +238,8 @@ def _chi_square(
         return None, None, None
     u = np.sqrt(np.diag(covariance))
     correlation = covariance / np.outer(u, u)
-    estimated: Sequence[Difference | Parameter]
+    estimated: Sequence[Difference | Parameter] = differences
     if len(single) == 2:
-        estimated = differences
         d_over_u = np.array([d.value for d in differences]) / u
         degrees = float(np.linalg.matrix_rank(correlation, hermitian=True))
         chi_square = max(0.0, float(d_over_u @ np.linalg.pinv(correlation, hermitian=True) @ d_over_u))

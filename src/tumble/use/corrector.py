@@ -92,9 +92,8 @@ class Stream:
 
     `thermometers` is the number of thermometers, which read `zero` at 0 °C: 273.15 in K, 0 in °C. Without `gyros` no
     rates are corrected. Samples outside the `ranges` are flagged. A stamp that is earlier than the last one by more
-    than `clock_restart`, s, begins another stream: CLOCK_RESTART, or 0 for a log, whose stamps are in order.
-
-    The numbers are kept in the arrays of `tumble.sensors.fixed_point.advance`, which describes them."""
+    than `clock_restart`, s, begins another stream: CLOCK_RESTART, or 0 for a log, whose stamps are in order. Readings
+    and state are arrays that `tumble.sensors.fixed_point.advance` describes."""
 
     def __init__(
         self,
@@ -121,11 +120,8 @@ class Stream:
         self.delay = int(self.moved)
         accel, gyro = compensator.solvers["accel"], compensator.solvers["gyro"] if self.gyros else None
         gyro_sheet = np.zeros((0, WIDTH)) if gyro is None else gyro.sheet
-        gyro_steps, feels_force = (1, False) if gyro is None else (gyro.steps, gyro.feels)
-        self._sensors = (
-            *(accel.sheet, gyro_sheet, accel_thermometers, gyro_thermometers),
-            *(accel.steps, gyro_steps, feels_force),
-        )
+        gyro_steps, feels = (1, False) if gyro is None else (gyro.steps, gyro.feels)
+        self._sensors = accel.sheet, gyro_sheet, accel_thermometers, gyro_thermometers, accel.steps, gyro_steps, feels
         limits = LONGEST_STEP * interval, ranges.rate**2, ranges.force**2
         self._settings = np.array([interval, *ranges.temperature, clock_restart, zero, *limits, nan])
         n, m = len(accel.sheet), len(gyro_sheet)

@@ -156,9 +156,8 @@ class StreamCheck:
         low, high = self._ranges.temperature
         where = "outside" if self._too_warm else "again within"
         since = np.flatnonzero(np.append(True, too_warm[1:] != too_warm[:-1]))[-1]
-        yield Notice(
-            time=float(time[since]), text=f"temperature {where} {low:.1f} to {high:.1f} °C, which was calibrated"
-        )
+        text = f"temperature {where} {low:.1f} to {high:.1f} °C, which was calibrated"
+        yield Notice(time=float(time[since]), text=text)
 
     def _check_rest(self, observations: Observations) -> CheckedRest:
         """Compare the only rest of the observations with gravity, and test it unless it is too noisy for a rest."""

@@ -127,8 +127,7 @@ def calibration_blocks(
             f"{other.method} differs from {calibration.method} by {_largest_change(calibration, changes, other)}"
         )
     lines += notes_without_expanded(parameters)
-    minor = _minor_assumptions(calibration)
-    if minor:
+    if minor := _minor_assumptions(calibration):
         lines.append(f"smaller parts of u: {'; '.join(re.split('[:,] ', each)[0] for each in minor)}")
     following = _next_command(calibration, file, session, log)
     height = len(text_of([*blocks, Items(items=(*lines, "")), following], WIDTH).splitlines())
@@ -229,34 +228,30 @@ def _spreads(parameters: Sequence[Parameter]) -> Iterator[str]:
         yield f"{name} {significant(rms / size, 2)} {unit}"
 
 
-def _next_command(calibration: Calibration, file: FilePath, session: FilePath, log: FilePath) -> str:
-    """Return the command that follows: the export of an accepted calibration, else the inspection of its session."""
-    if accepted_kinds(calibration):
-        name, others_of_kind = _export_target(calibration, log)
-        to = f"{name} -o imu{target(name).ending} ({others_of_kind}others: --help)"
-        return f"next: tumble export {shlex.quote(str(file))} --to {to}"
-    there = "the rests and turns that were found" if calibration.evidence.rests else "what was found in the recording"
-    return f"next: tumble inspect {shlex.quote(str(session))} ({there})"
-
-
-# without --all:
-MAX_LINES = 24
+MAX_LINES = 24  # without --all
+MAX_REMARKS = 3  # without --all
 WIDTH = 100  # characters of a line
-MAX_REMARKS = 3
 _TARGETS = {"ardupilot": "ardupilot", "ulog": "px4", "ros": "kalibr"}  # by the format of a recording
 _TARGETS_BY_COLUMN = {"accSmooth[0]": "betaflight", "accelerometer_m_s2[0]": "px4"}  # of decoded logs
 
 
-def _export_target(calibration: Calibration, log: FilePath) -> tuple[str, str]:
-    """Return the export target of the format of a log, "json" for any other log, and words on a second target."""
+def _next_command(calibration: Calibration, file: FilePath, session: FilePath, log: FilePath) -> str:
+    """Return the command that follows: the export of an accepted calibration to the target of the format of its log,
+    "json" for any other log; else the inspection of its session."""
+    if not accepted_kinds(calibration):
+        what = (
+            "the rests and turns that were found" if calibration.evidence.rests else "what was found in the recording"
+        )
+        return f"next: tumble inspect {shlex.quote(str(session))} ({what})"
     readings = calibration.provenance.readings.get("accel")
-    names = (_TARGETS_BY_COLUMN.get(column) for column in (() if readings is None else readings.columns))
-    name = _TARGETS.get(format_of(Path(log)) or "") or next(filter(None, names), None)
-    if name is None and calibration.imu:  # the recording of an autopilot, converted before
-        return "px4", "ardupilot, "
-    if name == "kalibr" and len(accepted_kinds(calibration)) < 2:
-        return "ros-imu-calib", ""
-    return name or "json", ""
+    by_column = (_TARGETS_BY_COLUMN.get(column) for column in (() if readings is None else readings.columns))
+    name = _TARGETS.get(format_of(Path(log)) or "") or next(filter(None, by_column), "json")
+    others = "others"
+    if name == "json" and calibration.imu:  # the recording of an autopilot, converted before
+        name, others = "px4", "ardupilot, others"
+    elif name == "kalibr" and len(accepted_kinds(calibration)) < 2:
+        name = "ros-imu-calib"
+    return f"next: tumble export {shlex.quote(str(file))} --to {name} -o imu{target(name).ending} ({others}: --help)"
 
 
 def remarks_of(calibration: Calibration) -> tuple[str, ...]:
