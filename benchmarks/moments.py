@@ -1,6 +1,6 @@
 """How fast are the moments of turns, compensation included?
 
-`tumble.reduction.turns.moments.moments_of` on one core: all that a turn needs, with own-axis sums of a triad, and with
+`tumble.reduction.turns.moments.integrate` on one core: all that a turn needs, with own-axis sums of a triad, and with
 nonlinear terms too. All alternate so that they see the same machine. A figure is processor time, the least of several
 runs, since whatever else runs on the machine only ever adds. The answer is printed last.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tumble.reduction.turns.moments import BlockCompensation, Compensation, Moments, OwnAxes, Pieces, moments_of
+from tumble.reduction.turns.moments import BlockCompensation, Compensation, Moments, OwnAxes, Pieces, integrate
 from tumble.sensors.model import SensorModel
 from tumble.units import Array
 
@@ -64,13 +64,13 @@ def compare(name: str, length: int) -> Array:
     own = OwnAxes(gyro=np.eye(3), accel=np.eye(3))
 
     def with_moments() -> Moments:
-        return moments_of(pieces, linear)
+        return integrate([pieces], len(turns), linear)
 
     def with_own_axes() -> Moments:
-        return moments_of(pieces, linear, own)
+        return integrate([pieces], len(turns), linear, own)
 
     def with_all() -> Moments:
-        return moments_of(pieces, nonlinear, own)
+        return integrate([pieces], len(turns), nonlinear, own)
 
     ways = (with_moments, with_own_axes, with_all)
     for way in ways:

@@ -379,7 +379,7 @@ def observed(setting: Setting, samples: Samples) -> Observations:
         M=moments.Phi[..., 1:4],
         B=moments.Phi[..., 0],
         covariance=covariance,
-        arising=np.full(count - 1, WHITE),
+        moment_ratio=np.full(count - 1, WHITE),
         velocity_covariance=white[1] * T[:, None, None] * np.eye(3),
         jumps=moments.jumps,
         aliased=aliased_rotations(turn_samples, covariance),

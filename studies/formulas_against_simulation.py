@@ -511,6 +511,7 @@ def main(arguments: list[str]) -> int:
         latitude=latitude,
         gravity=normal_gravity(latitude, 270.0),
         gravity_u=0.0,
+        clock_u=0.0,
         noise=DEVICE.noise,
         accel=DEVICE.accel,
         gyro=DEVICE.gyro,

@@ -43,7 +43,7 @@ from tumble.recording.session import Site
 from tumble.reduction.blocks.reducer import Reducer
 from tumble.reduction.observations import Observations, observe
 from tumble.reduction.rests.segmentation import find_rests
-from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, moments_of
+from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, integrate
 from tumble.rotation import rotation_matrix, skew
 from tumble.sensors.grades import NoiseModel
 from tumble.simulation.recording import Recording, record
@@ -94,9 +94,8 @@ class Filter:
             delay=0.0,
         )
         still = np.zeros_like(readings)
-        found = moments_of(
-            Pieces(rates=readings, forces=still, intervals=each, turn=one - 1, start=one, stop=last), compensation
-        )
+        turn = Pieces(rates=readings, forces=still, intervals=each, turn=one - 1, start=one, stop=last)
+        found = integrate([turn], 1, compensation)
         C, M, B = found.C[0], found.Phi[0, ..., 1:4], found.Phi[0, ..., 0]
         by_reading = np.einsum("ap,pqm->aqm", inverse, block.jacobian(self.gyro))
         turned = np.einsum("ipq,pqm->im", M, by_reading[:, :3]) + B @ by_reading[:, 3]

@@ -221,7 +221,7 @@ def test_the_table_has_a_row_for_every_parameter_rounded_by_its_uncertainty(cali
 
 
 def test_tables_of_a_file_that_was_not_written_are_told_in_words_of_arguments(calibration: tumble.Calibration) -> None:
-    where = "[…] is a table of session.toml; for arrays use the argument of that name without unit"
+    where = "names in [ ] are tables of session.toml; for arrays use the argument of that name without unit"
     noted = replace(calibration, provenance=replace(calibration.provenance, notes=("state grade in [device]",)))
     assert f"note: {where}" in noted.table()
     assert where in str(tumble.InputError("[site]: expected latitude_deg, found none"))

@@ -28,7 +28,7 @@ _OPTION = re.compile(r"(?<![\w-])--([a-z][a-z-]*)")
 
 def tables_at(place: str, *sentences: str) -> str:
     """Return the end of sentences that name a table of session.toml: that it is at a place; else nothing."""
-    return f"; […] is a table of {place}" if any(map(_TABLE.search, sentences)) else ""
+    return f"; names in [ ] are tables of {place}" if any(map(_TABLE.search, sentences)) else ""
 
 
 class TumbleError(Exception):

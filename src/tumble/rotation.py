@@ -6,6 +6,7 @@ Frames: b body X, Y, Z; n geographic N (north), U (up), E (east), right-handed i
 from __future__ import annotations
 
 import math
+from itertools import permutations, product
 
 import numpy as np
 
@@ -121,3 +122,9 @@ def tangent_basis(unit: Array) -> Array:
     first = np.take_along_axis(across, np.argmin(np.abs(u), axis=-1)[..., None, None], axis=-1)
     first /= np.linalg.norm(first, axis=-2, keepdims=True)
     return np.swapaxes(np.concatenate([first, across @ first], axis=-1), -1, -2)
+
+
+def signed_permutations() -> Array:
+    """Return all permutations of the axes with all signs (48, 3, 3)."""
+    orders, signs = permutations(range(3)), list(product((1.0, -1.0), repeat=3))
+    return np.array([np.array(sign)[:, None] * np.eye(3)[list(order)] for order in orders for sign in signs])

@@ -289,7 +289,9 @@ def test_another_unit_is_asked_about_in_the_first_rest(
     assert bench.said.endswith(f" m/s²: are they in {unit}?")
     assert answers(bench)["unit"]["label"] == f"Yes, in {unit}"
     assert primary(bench) == ["unit"]
-    assert bench.station.command("unit") == f"the accelerometers are in {unit}; what is recorded is read anew"
+    said = bench.station.command("unit")
+    assert said.startswith(f"the accelerometers are in {unit}, the gyros in deg/s; ")
+    assert said.endswith("; what is recorded is read anew")
     bench.station.step()
     shown = bench.station.trace(30)
     assert shown["anew"]
@@ -343,6 +345,21 @@ def test_faults_pass_when_they_are_over(opened: Callable[..., Bench]) -> None:
     bench.until(lambda: bench.screen == "turn")
     bench.take(5)
     assert bench.state["fault"] is None
+
+
+def test_a_gap_is_over_once_a_later_position_was_left_however_early(opened: Callable[..., Bench]) -> None:
+    bench = opened("nine")
+    bench.until(lambda: bench.screen == "turn")
+    bench.take(2)
+    bench.unit.mischief("lose", 0.6)
+    named(bench, "gap of 0.6 s", later=1.0)
+    for position in (2, 3):
+        assert bench.screen == "fault"
+        bench.unit.go_to(position)
+        bench.moved()
+        bench.run(2.6)
+    assert bench.state["message"].startswith("noted: gap of 0.6 s")
+    assert bench.screen in ("rest", "turn")
 
 
 def test_an_unplugged_sensor_is_the_headline(opened: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch) -> None:

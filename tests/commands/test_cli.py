@@ -496,7 +496,7 @@ def test_a_log_is_inspected_as_it_is_calibrated(sessions: Path) -> None:
     pl.read_parquet(sessions / "one" / "log.parquet").write_csv(log)
     seen = json.loads(run("inspect", log, "--latitude", "56.84", "--json").stdout)
     done = run("calibrate", log, "--latitude", "56.84", "--json")
-    assert "log-session/session.toml: the session made of this log before" in done.stderr
+    assert "log-session/session.toml: the session made earlier from this log" in done.stderr
     assert [rest["start"] for rest in seen["observations"]["rests"]] == [
         rest["start"] for rest in json.loads(done.stdout)["rests"]
     ]
@@ -688,7 +688,7 @@ def test_a_log_is_calibrated_without_a_session(sessions: Path) -> None:
     assert {**twice["provenance"], "created": ""} == {**once["provenance"], "created": ""}
     assert {**twice, "provenance": ""} == {**once, "provenance": ""}
     anew = run("calibrate", log, "--latitude", "50", "--terms", "linear", "--json")
-    assert "made anew, with other options or by another version" in anew.stderr
+    assert "new session, as options or the version of tumble differ" in anew.stderr
     assert json.loads(anew.stdout)["device"]["serial"] == "mine"
     (sessions / "letter.txt").write_text("Dear all,", encoding="utf-8")
     assert "expected rows of readings" in refused(
@@ -725,11 +725,11 @@ def test_who_wrote_no_session_toml_is_told_where_its_tables_are(sessions: Path) 
     pl.read_parquet(sessions / "one" / "log.parquet").drop("t").write_parquet(log)
     done = run("calibrate", log, "--latitude", 50, "--sample-rate", 50)
     assert "in [log], 0 where it is exact" in " ".join(done.stdout.split())
-    assert f"; […] is a table of {sessions / 'log-session'}/session.toml" in " ".join(done.stdout.split())
+    assert f"; names in [ ] are tables of {sessions / 'log-session'}/session.toml" in " ".join(done.stdout.split())
     shutil.rmtree(sessions / "log-session")
     said = refused("calibrate", log, "--latitude", 50, "--sample-rate", 50, "--frame", "case", below=sessions)
     assert "[programme]" in said
-    assert said.endswith("; […] is a table of a session.toml, which `tumble new SESSION LOG` writes")
+    assert said.endswith("; names in [ ] are tables of a session.toml, which `tumble new SESSION LOG` writes")
 
 
 def test_a_stated_rate_that_contradicts_the_times_is_taken_and_said(sessions: Path) -> None:

@@ -413,7 +413,7 @@ def test_the_rate_along_north_is_predicted_at_rest_and_in_the_turns() -> None:
     assert linearised is not None
     problem = linearised.problem
     still = replace(problem, earth=problem.earth * np.array([0.0, 1.0, 1.0]))
-    without = linearise(still, linearised.point, linearised.about)
+    without = linearise(still, linearised.point, linearised.integrated)
     for found, there, here in zip(north_rate_columns(linearised), without.residuals, linearised.residuals, strict=True):
         expected = there - here
         assert np.abs(expected).max() > 0.0

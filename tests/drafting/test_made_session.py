@@ -42,7 +42,7 @@ def test_each_log_has_a_session_of_its_own_and_finds_it_again(logs: Path) -> Non
     (logs / "flight-1.2.csv").write_bytes((logs / "renamed.csv").read_bytes())
     folder, said = made(logs / "renamed.csv", replace(GIVEN, serial="flight-1.2"))
     assert folder == first
-    assert said == f"{first / 'session.toml'}: the session made of this log before"
+    assert said == f"{first / 'session.toml'}: the session made earlier from this log"
     assert (first / "session.toml").read_bytes() == before
 
 
@@ -62,12 +62,12 @@ def test_a_copy_of_a_log_has_the_session_and_the_serial_number_of_the_first(logs
     copy.write_bytes((logs / "flight-1.2.csv").read_bytes())
     assert made(copy) == (
         first,
-        f"{first / 'session.toml'}: the session made of this log before (serial number 'flight-1.2')",
+        f"{first / 'session.toml'}: the session made earlier from this log (serial number 'flight-1.2')",
     )
     assert read_session(first).device.serial == "flight-1.2"
     folder, said = made(copy, replace(GIVEN, serial="B"))
     assert folder == logs / "copy-session"
-    assert f"(--serial); {first} stays; kept in " in said
+    assert f"(--serial); {first} is kept too; kept in " in said
     assert [read_session(each).device.serial for each in (first, folder)] == ["flight-1.2", "B"]
 
 
@@ -83,7 +83,7 @@ def test_another_log_of_the_same_name_has_another_session(logs: Path) -> None:
 def test_no_statement_leaves_what_was_stated_and_the_result(logs: Path) -> None:
     folder, _ = made(logs / "flight-1.2.csv", replace(GIVEN, accel=("ax", "ay", "az")))
     (folder / "calibration.json").write_text("{}", encoding="utf-8")
-    assert made(logs / "flight-1.2.csv", Given())[1].endswith(": the session made of this log before")
+    assert made(logs / "flight-1.2.csv", Given())[1].endswith(": the session made earlier from this log")
     assert "latitude_deg = 50.0" in (folder / "session.toml").read_text(encoding="utf-8")
     assert (folder / "calibration.json").exists()
 
@@ -110,7 +110,7 @@ def test_other_statements_make_another_session_and_the_former_stays(logs: Path) 
     another, said = made(logs / "flight-1.2.csv", Given(latitude=40.0))
     assert another == logs / "flight-1.2-2-session"
     assert said.startswith(
-        f"made anew, with other options or by another version (--latitude); {folder} stays; kept in "
+        f"new session, as options or the version of tumble differ (--latitude); {folder} is kept too; kept in "
     )
     assert "latitude_deg = 40.0" in (another / "session.toml").read_text(encoding="utf-8")
     assert {f.name for f in another.iterdir()} == {"session.toml", "made.json"}
@@ -137,6 +137,6 @@ def test_what_was_corrected_by_hand_is_used_and_never_replaced(logs: Path) -> No
     folder, _ = made(logs / "flight-1.2.csv")
     text = (folder / "session.toml").read_text(encoding="utf-8").replace("latitude_deg = 50.0", "latitude_deg = 51.0")
     (folder / "session.toml").write_text(text, encoding="utf-8")
-    assert made(logs / "flight-1.2.csv")[1].endswith("before, corrected by hand")
+    assert made(logs / "flight-1.2.csv")[1].endswith("from this log, corrected by hand")
     assert made(logs / "flight-1.2.csv", Given(latitude=40.0))[0] != folder
     assert (folder / "session.toml").read_text(encoding="utf-8") == text

@@ -129,7 +129,7 @@ def test_the_command_writes_the_file_and_says_what_is_lost(tmp_path: Path) -> No
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 0
     assert result.stdout == ""
-    assert "note: off by what is not in this file: accelerometers by up to" in result.stderr
+    assert "note: remaining error: accelerometers by up to" in result.stderr
     out = tmp_path / "imu.params"
     assert out.read_bytes() == export_calibration(calibration(), "px4").content
     assert stat.S_IMODE(out.stat().st_mode) & 0o444 == 0o444

@@ -47,11 +47,11 @@ class Dense:
 def dense(problem: Any, rows: Any, noise: Any, components: Any, priors: tuple[Array, Array]) -> Dense:
     """By the rows at a linearisation, the parts of their noise, the components of variance, and `priors`, standard
     deviations and expected values less those of the point, of x."""
-    plain, bias, session = plain_rows(rows), rows.bias, problem.session
+    plain, bias, session = plain_rows(rows), rows.bias, problem.session_of_station
     N, K, n = len(plain.rest), len(plain.turn), problem.sensors
     r, t, q = plain.rest.shape[1], plain.turn.shape[1], len(problem.local_u)
     after = problem.bias_after
-    p, S, M = plain.rest.shape[2] - 4 - q, len(problem.parts), N * r + K * t
+    p, S, M = plain.rest.shape[2] - 4 - q, len(problem.session_spans), N * r + K * t
     A, X, B, y = np.zeros((M, 3 * N)), np.zeros((M, S * q + p)), np.zeros((M, n, N)), np.zeros(M)
     base, D = np.zeros((M, M)), dict[tuple[str, int], Array]()
     names = ("accel", "gyro", "turn", "velocity", "apart", "jumps", "aliased", "aliased_apart")

@@ -111,7 +111,7 @@ def away_from_bounds(entries: Sequence[Hyperparameter], seed: int = 5) -> Array:
 
 def covariances(step: Solution, unknowns: slice) -> Array:
     """Covariances of some unknowns of each rest, and with those of the next (2, N, k, k)."""
-    sensitivity, parts = step.equations.sensitivity[:, unknowns, :-1], enumerate(step.problem.parts)
+    sensitivity, parts = step.equations.sensitivity[:, unknowns, :-1], enumerate(step.problem.session_spans)
     root = np.concatenate([sensitivity[part.stations] @ step.roots[s] for s, part in parts])
     out = step.conditional_covariances[:, :, unknowns, unknowns].copy()
     out[0] += root @ np.swapaxes(root, 1, 2)
@@ -306,7 +306,7 @@ def test_a_session_in_two_files_is_the_same_but_for_the_chain_that_begins_anew()
     for each in (one, two):
         at = started(each)
         steps.append([solve(at, c) for c in (short, long)])
-        begins = at.noise.at(long).state_rho[4]
+        begins = at.with_components(long).noise.state_rho[4]
         assert np.all(begins == 0.0) == (each is two)
     u = np.sqrt(np.diag(steps[0][0].covariance))
     np.testing.assert_allclose(steps[1][0].parameters / u, steps[0][0].parameters / u, atol=1e-6)
@@ -361,7 +361,7 @@ def test_more_rests_never_make_the_mean_of_a_process_worse() -> None:
         before = np.full(6, np.inf)
         for count in (8, 10, 12, 14):
             at = started(with_turns(session, np.arange(13) < count - 1, count))
-            here = linearise(at.problem, replace(point, attitudes=point.attitudes[:count]), at.about)
+            here = linearise(at.problem, replace(point, attitudes=point.attitudes[:count]), at.integrated)
             step = solve(here, replace(IN_RUN, accel_time=seconds, gyro_time=seconds))
             u = np.sqrt(step.covariance.diagonal()[1:][at.problem.biases])
             assert np.all(u < before * (1.0 + 1e-6))
@@ -449,7 +449,7 @@ def test_sizes_folded_into_a_triangle_are_those_of_the_whole_elimination(name: s
     phi[1, groups] += 0.7
     members, element = members_of(fitted, groups)
     every = triangles(fitted.linearisation, hyperparameters, phi[:1], members)
-    sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(phi[:, element])
+    sizes = fitted.problem.usual_u[1 + members] * np.exp(phi[:, element])
     folded = Folded.of(every.information[0], every.right[0], sizes)
     own = slice(1 + len(fitted.problem.instrument.names))  # without the biases as means of their processes
     alpha, gamma, omega = every.alpha[0, own], every.gamma[0, own], every.omega[0, own, own]

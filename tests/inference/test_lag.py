@@ -180,9 +180,9 @@ def test_a_lag_is_judged_with_the_sizes_that_are_likeliest_with_it() -> None:
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     fitted, _ = maximum_with_lags(initial_linearisation(problem), MAX_ITERATIONS)
     values = fitted.point.values.copy()
-    values[problem.lags["gyro"]] += 200.0
-    held = fitted.usual_problem.with_lags(values)
-    there = linearise(held, replace(fitted.point, values=values), fitted.linearisation.about)
+    values[problem.lag_places["gyro"]] += 200.0
+    held = fitted.linearisation.problem.with_held_lags(values)
+    there = linearise(held, replace(fitted.point, values=values), fitted.linearisation.integrated)
     best = maximise(there, fitted.phi).solution.log_posterior
     plain = solution_at(there, fitted.hyperparameters, fitted.phi)
     near, *_ = maximise_phi(fitted.hyperparameters, plain)
@@ -197,10 +197,10 @@ def test_rows_at_another_lag_are_those_linearised_there() -> None:
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     fitted, _ = maximum_with_lags(initial_linearisation(problem), MAX_ITERATIONS)
     values = fitted.point.values.copy()
-    values[list(problem.lags.values())] += [15.0, 60.0]
-    held, about = problem.with_lags(values), fitted.linearisation.about
-    near = fitted.linearisation.at_lags(held, values)
-    whole = linearise(held, replace(fitted.linearisation.point, values=near.point.values), about)
+    values[list(problem.lag_places.values())] += [15.0, 60.0]
+    held, integrated = problem.with_held_lags(values), fitted.linearisation.integrated
+    near = fitted.linearisation.with_lags(held, values)
+    whole = linearise(held, replace(fitted.linearisation.point, values=near.point.values), integrated)
     found, expected = (solution_at(each, fitted.hyperparameters, fitted.phi) for each in (near, whole))
     assert float(found.log_posterior) == pytest.approx(float(expected.log_posterior), abs=0.02)
     u = np.sqrt(expected.covariance.diagonal()[1:])

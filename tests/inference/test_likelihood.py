@@ -168,7 +168,7 @@ def test_the_jacobian_of_rotation_vectors_is_that_of_differences(angle: float) -
 def dense(rows: Linearisation, scatter: VarianceComponents) -> tuple[Array, Array, list[tuple[str, int]]]:
     """All whitened rows over all unknowns at once: angles of rest 0, 1, …, then the parameters; and which they are, the
     rows of a rest or of a turn."""
-    W, turns = rows.noise.at(scatter).whitening(), rows.problem.observations.turns
+    W, turns = rows.with_components(scatter).noise.whitening(), rows.problem.observations.turns
     assert turns is not None
     rest, turn = of_rests(W) @ plain_rows(rows).rest, W["turn"] @ plain_rows(rows).turn
     N, p = len(rest), len(rows.prior) - 1

@@ -62,7 +62,7 @@ def test_likelihood_score_and_estimate_are_those_of_dense_matrices(name: str, se
         start = start.again(replace(start.problem, bias_after=1.0), start.point)
     fitted = maximise(start, iterations=1)
     hyperparameters, at = fitted.hyperparameters, fitted.linearisation
-    phi, S, q = away_from_bounds(hyperparameters, seed), len(at.problem.parts), len(at.problem.local_u)
+    phi, S, q = away_from_bounds(hyperparameters, seed), len(at.problem.session_spans), len(at.problem.local_u)
     here = solution_at(at, hyperparameters, phi)
     expected = here.problem.prior_mean - np.append(at.point.gravity, at.point.values)
     u = np.append(np.tile(here.problem.local_u, S), here.problem.prior_u)

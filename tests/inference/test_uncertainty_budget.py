@@ -74,7 +74,7 @@ def test_the_sources_are_the_covariance(name: str) -> None:
         assert min(weight.min() for weight in fitted.linearisation.noise.weights.values()) < 1.0
     problem, step = fitted.problem, fitted.solution
     expected = step.covariance.copy()
-    if step.equations.wanders and len(problem.parts) == 1:
+    if step.equations.wanders and len(problem.session_spans) == 1:
         q, biases = len(problem.local_u), 1 + problem.biases
         along, by_noise = session_mean_bias(step.equations)
         to_session = np.eye(len(expected))

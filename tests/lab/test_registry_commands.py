@@ -137,6 +137,13 @@ def test_limits_are_listed_and_shown(filled: Path) -> None:
     assert '"accel.bias" = "3 mg"' in run("limits", "BCHE-501").stdout
 
 
+def test_no_calibration_is_of_a_day_before_its_recording(folder: Path) -> None:
+    write(folder / "dated.json", content(log="dated") | {"session": {"date": "2025-03-02T09:30:00+02:00"}})
+    said = "expected 2025-03-02, the day of the recording, or later, found 2025-03-01"
+    assert said in refused("add", "dated.json", "--date", "2025-03-01")
+    assert "performed 2025-03-02" in run("add", "dated.json", "--date", "2025-03-02").stdout
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -140,6 +141,18 @@ def test_noiseless_parameters_are_recovered(pipeline: Pipeline) -> None:
     assert np.abs((estimate.values - values) / SIZES).max() < 5e-6  # preintegration at 0.9° a sample
     assert estimate.converged
     assert max(estimate.rest_sigmas.max(), estimate.turn_sigmas.max()) < 0.01
+
+
+def test_passes_that_do_not_converge_name_the_gyros_that_do_not_find_north() -> None:
+    """A g-sensitivity of the size of the Earth's rate turns the headings by tens of degrees; `joint` needs none."""
+    rng = np.random.default_rng(3)
+    seen = observations(drawn_values(1, rng)[0], np.random.default_rng(3), noise=10.0, stated=10.0)
+    sensitivity = 5.0 * DEGREE_PER_HOUR / GRAVITY * np.random.default_rng(3).standard_normal((3, 3))
+    rests = replace(seen.rests, gyro=seen.rests.gyro + seen.rests.accel @ sensitivity.T)
+    (reason,) = scalar(replace(seen, rests=rests), intervals=False).reasons
+    assert re.search(r"do not converge: gyros off by [5-9]\.\d+ °/h at rest, with 8\.\d+ °/h of Earth's rate", reason)
+    assert reason.endswith("; take the method joint")
+    assert not scalar(seen, intervals=False).reasons
 
 
 @PIPELINES
@@ -464,7 +477,7 @@ def _with_pause(seen: Observations, rests: Rests, position: IntArray) -> Observa
         C=np.concatenate([seen.turns.C, np.eye(3)[None]]),
         M=np.concatenate([seen.turns.M, seen.turns.M[:1]]),
         B=np.concatenate([seen.turns.B, seen.turns.B[:1]]),
-        arising=np.append(seen.turns.arising, seen.turns.arising[:1]),
+        moment_ratio=np.append(seen.turns.moment_ratio, seen.turns.moment_ratio[:1]),
         velocity_covariance=np.concatenate([seen.turns.velocity_covariance, seen.turns.velocity_covariance[:1]]),
         jumps=np.append(seen.turns.jumps, 0.0),
         aliased=np.append(seen.turns.aliased, 0.0),

@@ -133,6 +133,19 @@ def test_uncertain_gravity_is_in_every_accelerometer_scale_factor_and_nowhere_el
             assert rms == pytest.approx(math.sqrt(max(more, 0.0)), rel=1e-3, abs=1e-8), (method, group)
 
 
+@pytest.mark.parametrize("method", METHODS_OF_PAPER)
+def test_an_uncertain_time_base_is_in_every_gyro_scale_factor_and_nowhere_else(method: MethodOfPaper) -> None:
+    """As `calibrate` states it of the same methods; an accuracy that it forbids is refused with the remedy."""
+    uncertain = replace(SETUP, clock_u=3e-5)
+    before, after = (plan(setup, method=method) for setup in (SETUP, uncertain))
+    for group in GROUPS:
+        more = math.sqrt(max(after.group(group).u ** 2 - before.group(group).u ** 2, 0.0))
+        assert more == pytest.approx(uncertain.clock_u if group == "gyro.scale" else 0.0, rel=1e-6)
+    (reason,) = plan(uncertain, method=method, wanted={"gyro.scale": 2e-5}).reasons
+    assert "(mostly time base of the log)" in reason
+    assert reason.endswith("state how good the time base is (clock_ppm_u)")
+
+
 def test_sources_add_up_to_u() -> None:
     for row in plan(SETUP, method="sequential", iterations=3).groups:
         assert math.sqrt(sum(u**2 for u in row.sources.values())) == pytest.approx(row.u, rel=1e-12)

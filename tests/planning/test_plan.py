@@ -272,6 +272,7 @@ def test_the_command_shows_groups_sources_and_next_positions() -> None:
         assert name in result.stdout
     assert "determined: 21 of 21 linear parameters, condition" in result.stdout
     assert "one more position" in result.stdout
+    assert "u/before above 100 %: the programme does not determine such a group" in " ".join(result.stdout.split())
 
 
 def test_what_a_session_must_state_is_said_and_counts_as_calibrate_counts_it() -> None:
@@ -282,8 +283,8 @@ def test_what_a_session_must_state_is_said_and_counts_as_calibrate_counts_it() -
     assert u["gyro.scale"] == pytest.approx(1e-2, rel=1e-3)
     assert u["accel.scale"] == pytest.approx(4e-3 / 9.816, rel=1e-3)
     height, clock = found["assumptions"]
-    assert "where it states neither gravity nor height, 408 ppm are in u" in height
-    assert "1e+04 ppm of gyro.scale" in clock
+    assert "states neither gravity nor height, 408 ppm are in u of accel.scale" in height
+    assert "1e+04 ppm, which are in u of gyro.scale" in clock
     assert height in " ".join(run("--gravity-u", "4e-3").stdout.split())
 
 

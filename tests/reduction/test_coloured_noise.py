@@ -318,7 +318,7 @@ def test_autocovariances_are_continued_by_the_recursion_until_nothing_is_left() 
 
 
 @given(decay=st.floats(0.0, 0.99), blocks=st.integers(2, 60))
-def test_when_in_a_turn_noise_arose_is_that_of_sums_over_its_steps(decay: float, blocks: int) -> None:
+def test_the_moment_ratio_is_that_of_sums_over_steps(decay: float, blocks: int) -> None:
     """Steps of a hundredth of a block: white within a block, and as the autocovariance has it from block to block."""
     steps, r = 100, decay ** np.arange(80.0)
     lags = np.abs(np.arange(blocks)[:, None] - np.arange(blocks))
@@ -327,11 +327,11 @@ def test_when_in_a_turn_noise_arose_is_that_of_sums_over_its_steps(decay: float,
     within = (np.arange(steps) + 0.5) / steps / blocks - 0.5 / blocks
     moment = means[:, 0] @ of_blocks @ means[:, 0] + blocks * np.mean(within**2)
     noise = ColouredNoise(batch=1, autocovariance=np.array([r, r]), correlation=np.eye(2), level=np.ones((1, 2)))
-    assert noise.arising(float(blocks)) == pytest.approx(4.0 * moment / of_blocks.sum(), rel=1e-3)
+    assert noise.moment_ratio(float(blocks)) == pytest.approx(4.0 * moment / of_blocks.sum(), rel=1e-3)
 
 
-def test_noise_that_lasts_as_long_as_a_turn_arose_all_the_time() -> None:
+def test_noise_that_lasts_as_long_as_a_turn_has_the_moment_ratio_one() -> None:
     lasting = ColouredNoise(batch=1, autocovariance=np.ones((1, 900)), correlation=np.eye(1), level=np.ones((1, 1)))
     white = ColouredNoise(batch=1, autocovariance=np.eye(1, 900), correlation=np.eye(1), level=np.ones((1, 1)))
-    assert lasting.arising(800.0) == pytest.approx(1.0, abs=1e-5)
-    assert white.arising(800.0) == pytest.approx(4.0 / 3.0)
+    assert lasting.moment_ratio(800.0) == pytest.approx(1.0, abs=1e-5)
+    assert white.moment_ratio(800.0) == pytest.approx(4.0 / 3.0)

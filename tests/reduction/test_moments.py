@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tests.support import naive_moments
+from tests.support.preintegrated import moments_of
 from tumble.reduction.turns.moment_kernels import GROUP
 from tumble.reduction.turns.moments import (
     NO_OWN_AXES,
@@ -27,7 +28,6 @@ from tumble.reduction.turns.moments import (
     integrate,
     integrate_in_parts,
     lever_columns,
-    moments_of,
     single_delay_columns,
 )
 from tumble.rotation import rotation_vector, skew

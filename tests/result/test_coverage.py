@@ -20,7 +20,6 @@ from tumble.lab.limits import parse_limits
 from tumble.lab.report import limits_section
 from tumble.result.calibration import Calibration
 from tumble.result.coverage import (
-    degrees_of_freedom,
     degrees_through,
     expanded,
     expanded_of,
@@ -121,10 +120,10 @@ def test_gyros_have_the_fewer_degrees_of_rests_and_turns_that_scatter() -> None:
         "gyro_turns": scattered(8.0),
         "noise_within_rests": scattered(2.0, scatter=0.0),
     }
-    assert degrees_of_freedom(of_groups(**groups)["gyro.scale.y"]) == 8.0
+    assert of_groups(**groups)["gyro.scale.y"].dof == 8.0
     quiet = of_groups(**groups | {"gyro_turns": scattered(8.0, scatter=0.0)})
-    assert degrees_of_freedom(quiet["gyro.scale.y"]) == 12.0
-    assert degrees_of_freedom(quiet["accel.axis.yx"]) == 3.0
+    assert quiet["gyro.scale.y"].dof == 12.0
+    assert quiet["accel.axis.yx"].dof == 3.0
 
 
 def test_degrees_that_a_method_gives_stand() -> None:

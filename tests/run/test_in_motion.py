@@ -201,11 +201,11 @@ def test_rows_of_links_are_derivatives_of_their_residuals() -> None:
         np.append(1e-3, 1e-3 * problem.spread * rng.normal(size=m)), 1e-3 * rng.normal(size=(M, 3)),
         np.append(0.03 * rng.normal(size=3), np.zeros(q - 3))[None], 0.1 * rng.normal(size=(M, 3)), np.zeros((M, 3)),
     )  # fmt: skip
-    about = IntegratedTurns.of(observations, problem.instrument, point.values)
-    rows, n = plain_rows(linearise(problem, point, about)), 6
+    integrated = IntegratedTurns.of(observations, problem.instrument, point.values)
+    rows, n = plain_rows(linearise(problem, point, integrated)), 6
 
     def residuals(at: Point) -> Array:
-        return np.asarray(linearise(problem, at, about).rows["link"][:, :, -1])
+        return np.asarray(linearise(problem, at, integrated).rows["link"][:, :, -1])
 
     def moved(parameters: Array, angles: Array, local: Array, velocities: Array) -> Array:
         """By how much the predictions move, by central differences."""
@@ -249,7 +249,7 @@ def test_a_heading_changes_nothing_where_the_place_is_unknown() -> None:
     turned = here.point.moved(
         np.zeros(1 + len(here.point.values)), np.tile([0.0, 0.0, 0.7], (len(problem.chain), 1)),
     )  # fmt: skip
-    there = linearise(problem, turned, here.about)
+    there = linearise(problem, turned, here.integrated)
     np.testing.assert_allclose(there.rows["link"][:, :, -1], here.rows["link"][:, :, -1], atol=1e-9)
 
 

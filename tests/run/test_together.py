@@ -101,7 +101,7 @@ def somewhere(problem: Problem, seed: int = 3) -> Point:
     rng, observations = np.random.default_rng(seed), problem.observations
     values = 0.1 * problem.prior_u[1:] * rng.standard_normal(len(problem.instrument.names))
     values[problem.instrument.linear_count - 21 : problem.instrument.linear_count] *= 0.01
-    values[list(problem.lags.values())] = 40.0, 20.0
+    values[list(problem.lag_places.values())] = 40.0, 20.0
     force = observations.rests.accel
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
     east = np.cross(np.where(np.abs(up[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]]), up)
@@ -110,7 +110,7 @@ def somewhere(problem: Problem, seed: int = 3) -> Point:
         values=values,
         gravity=observations.site.gravity,
         attitudes=np.stack([np.cross(up, east), up, east], axis=1),
-        local=problem.local_u * rng.standard_normal((len(problem.parts), len(problem.local_u))),
+        local=problem.local_u * rng.standard_normal((len(problem.session_spans), len(problem.local_u))),
     )
 
 
@@ -151,11 +151,11 @@ def dense(problem: Problem, point: Point) -> Array:
     W, plain = rows.noise.whitening(), plain_rows(rows)
     turns = problem.observations.turns
     assert turns is not None
-    N, m, q, S = len(problem.chain), len(point.values), len(problem.local_u), len(problem.parts)
+    N, m, q, S = len(problem.chain), len(point.values), len(problem.local_u), len(problem.session_spans)
     blocks = []
     every = (of_rests(W) @ plain.rest, np.arange(N), 3), (W["turn"] @ plain.turn, turns.first, 6)
     for found, first, wide in every:
-        for own, i, s in zip(found, first, problem.session[first], strict=True):
+        for own, i, s in zip(found, first, problem.session_of_station[first], strict=True):
             block = np.zeros((len(own), 3 * N + S * q + 1 + m))
             block[:, 3 * i : 3 * i + wide], block[:, 3 * N + S * q :] = own[:, :wide], own[:, wide : wide + 1 + m]
             block[:, 3 * N + s * q : 3 * N + (s + 1) * q] = own[:, wide + 1 + m : -1]
@@ -280,7 +280,7 @@ def test_a_cause_is_named_in_the_session_it_is_in() -> None:
     observations = together(device("mems", SHORT, seed=5), [ramp(t, t) for t in (0.0, 40.0)])
     estimate = joint(observations, quick=True)
     assert estimate.linearised is not None
-    rows, (_, part) = estimate.linearised, estimate.linearised.problem.parts
+    rows, (_, part) = estimate.linearised, estimate.linearised.problem.session_spans
     (N, _), (K, _), last = *(residuals.shape for residuals in rows.residuals), part.rests.start + 6
     at_rest = 50.0 * DEGREE_PER_HOUR * np.outer((np.arange(N) > last) & (np.arange(N) < part.rests.stop), np.ones(3))
     turns = np.arange(K)[:, None]

@@ -26,9 +26,9 @@ SIMULATION = study("formulas_against_simulation")
 
 
 def device_setup(**known: Any) -> Setup:
-    """A set-up with the instrument of the study, without groups beyond the linear model, gravity known exactly."""
+    """A set-up with the instrument of the study, without groups beyond the linear model, gravity and clock exact."""
     device = SIMULATION.DEVICE
-    usual = {"noise": device.noise, "accel": device.accel, "gyro": device.gyro, "gravity_u": 0.0}
+    usual = {"noise": device.noise, "accel": device.accel, "gyro": device.gyro, "gravity_u": 0.0, "clock_u": 0.0}
     return Setup(**(usual | {"instrument": "that of the study"} | known))
 
 

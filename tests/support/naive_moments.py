@@ -1,4 +1,4 @@
-"""Plain twin of `tumble.reduction.turns.moments.moments_of`: one sample after another, the equations as printed."""
+"""Plain twin of `tumble.reduction.turns.moments.integrate`: one sample after another, the equations as printed."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ class PlainRows:
 
 def plain_rows(rows: Linearisation) -> PlainRows:
     """The rows of a linearisation, those of a rest in the order of AT_REST."""
-    m, q, d = len(rows.point.values), len(rows.problem.local_u), rows.problem.of_station
+    m, q, d = len(rows.point.values), len(rows.problem.local_u), rows.problem.station_columns
 
     def plain(kind: str) -> Array:
         each, wide = rows.rows[kind], 6 if kind == "link" else 3

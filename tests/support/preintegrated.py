@@ -7,10 +7,24 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tumble.reduction.turns.moments import BlockCompensation, Compensation, Pieces, moments_of
+from tumble.reduction.turns.moments import (
+    NO_OWN_AXES,
+    BlockCompensation,
+    Compensation,
+    Moments,
+    OwnAxes,
+    Pieces,
+    integrate,
+)
 from tumble.units import Array
 
 IntArray = npt.NDArray[np.int64]
+
+
+def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
+    """Moments of every single piece."""
+    count = len(pieces.start)
+    return integrate([replace(pieces, turn=np.arange(count))], count, compensation, own)
 
 
 def preintegrate(

@@ -83,7 +83,7 @@ class Launches:
             M=M.reshape(n, k, 3, 3, 3),
             B=B.reshape(n, k, 3, 3),
             covariance=np.zeros((k, 3, 3)),
-            arising=np.full(k, WHITE),
+            moment_ratio=np.full(k, WHITE),
             velocity_covariance=np.zeros((k, 3, 3)),
             jumps=np.zeros(k),
             aliased=np.zeros(k),

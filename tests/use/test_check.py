@@ -202,7 +202,7 @@ def test_a_session_is_checked(folder: Path) -> None:
     made, again = folder / "calibration.json", folder / "again"
     done = run("check", made, again)
     assert done.exit_code == 0, done.stderr
-    assert "no change is shown, and none larger than\naccel.bias " in done.stdout
+    assert "no change is detected; larger than these, it would be in nine of ten cases:\naccel.bias " in done.stdout
     assert "4 rests and 3 turns\n" in done.stdout
     assert done.stdout.count("rest ") == 4
     data = json.loads(run("check", made, again, "--json").stdout)
@@ -213,9 +213,13 @@ def test_a_session_is_checked(folder: Path) -> None:
     assert max(abs(rest["sigmas"]) for rest in data["rests"]) < data["rest_limit"]
 
 
-def test_a_log_is_checked_as_the_session_that_is_made_of_it(folder: Path, tmp_path: Path) -> None:
-    made, log = folder / "calibration.json", tmp_path / "field.csv"
-    pl.read_parquet(folder / "again" / "log.parquet").write_csv(log)
+@pytest.mark.parametrize("form", ["names", "no names", "json"])
+def test_a_log_is_checked_as_the_session_that_is_made_of_it(folder: Path, tmp_path: Path, form: str) -> None:
+    made, log, rows = folder / "calibration.json", tmp_path / "field.csv", pl.read_parquet(folder / "again/log.parquet")
+    if form == "json":
+        rows.write_ndjson(log)
+    else:
+        rows.write_csv(log, include_header=form == "names")
     done = run("check", made, log)
     assert done.exit_code == 0, done.stderr
     assert "4 rests and 3 turns\n" in done.stdout

@@ -292,7 +292,7 @@ def test_groups_of_refused_sensors_that_are_accepted_are_named_in_the_terminal_t
     why = "biases of the gyros jump"
     made = replace(full, outcome=Outcome(reasons=(why,), concerns={why: ("gyro.bias",)}))
     lines = lines_of(calibration_blocks(made))
-    spared = "accepted all the same: gyro.scale, gyro.axis"
+    spared = "accepted groups: gyro.scale, gyro.axis"
     assert lines[1] == f"not accepted (accelerometers: accepted; gyros: not accepted; {spared})"
     rows = [line.split()[0] for line in lines if line.startswith(("accel.", "gyro."))]
     assert rows == ["accel.bias", "accel.scale", "accel.axis", "gyro.scale", "gyro.axis"]
@@ -427,7 +427,7 @@ def test_what_is_not_stated_is_a_remark_only_where_it_is_most_of_u() -> None:
         unstated = {height: "gravity", clock: "clock"}
         made = with_fields(made, assumptions=(height, clock), unstated=unstated, budget=(gravity,))
         text = "\n".join(line for line in text_of(calibration_blocks(made), 400).splitlines() if "stated" in line)
-        minor = "smaller parts of u: "
+        minor = "with less effect on u: "
         time_base = "the uncertainty of the time base is not stated"
         if share > 0.5:
             assert text == f"{minor}{time_base}\nremark: {height}"
@@ -496,7 +496,7 @@ def test_all_shows_what_the_model_did_not_know_about_itself() -> None:
     assert rows["accel"][2] == "20"
     assert rows["accel"][-1] == "µg"
     assert rows["lever"][2:] == ["1.5", "1", "2.25", "1"]
-    assert "at 64 points, effectively 44" in shown
-    assert "u the next minute" in shown
+    assert "at 64 points (effectively 44)" in shown
+    assert "u next minute" in shown
     assert "68 % from" not in text_of(calibration_blocks(known))
     assert "68 % from" not in text_of(calibration_blocks(made, every=True))

@@ -161,7 +161,8 @@ def test_it_names_what_priors_rest_on_with_its_share_of_the_variance(tmp_path: P
     write_certificate(tmp_path / "c.json", tmp_path / "c.html", tmp_path / "certificate.toml")
     shares = shares_of_priors(made)["guessed grade mems"]
     said = Page.of(tmp_path / "c.html").whole
-    assert "not measured, but what instruments of the kind usually have, by the guessed grade mems: " in said
+    assert "not from this recording but from the usual sizes of instruments of the kind (means over the" in said
+    assert "by the guessed grade mems: " in said
     assert f"{100.0 * shares['accel.scale']:.0f} % of accel.scale" in said
 
 

@@ -41,8 +41,9 @@ from tumble.result.calibration import read_calibration
 from tumble.result.further import parameter_words
 from tumble.result.parts import coverage_factor
 from tumble.run.calibrate import calibrate
+from tumble.run.from_readings import calibrate_readings
 from tumble.sensors.model import SensorModel
-from tumble.sensors.parameters import FURTHER
+from tumble.sensors.parameters import FURTHER, Terms
 from tumble.simulation.session import simulate_session
 from tumble.units import ARCSEC, DEGREE, DEGREE_PER_HOUR, G_STANDARD
 from tumble.views.numbers import fixed, significant
@@ -51,7 +52,7 @@ from tumble.views.render.pages import page as to_page
 from tumble.views.render.pages import pdf as to_pdf
 from tumble.views.render.pictures import svg_of
 from tumble.views.report.document import ReportedFile, report_of, sources_of, write_report
-from tumble.views.report.result import before_and_after
+from tumble.views.report.result import before_and_after, contents_of_u
 
 SHORT = Setup.of(grade="tactical", rest=10.0, rate_deg_s=45.0, sample_rate=50.0)
 SIZES = {
@@ -196,6 +197,19 @@ def test_the_strongest_correlations_are_those_of_the_covariance(page: Page, cont
         assert number(row["coefficient"]) == pytest.approx(r[p, q], abs=0.00051)
     others = sorted(np.abs(r[np.tril_indices(len(names), -1)]))[::-1]
     np.testing.assert_allclose(shown, others[: len(shown)], atol=0.00051)
+
+
+def test_what_u_contains_is_what_its_budget_has(page: Page) -> None:
+    """Linear terms of a session leave other groups out of the parameters, not out of u; those of a table do both."""
+    groups, nonlinearity = "the groups beyond the linear model, as far as", "nonlinearity that is the same"
+    assert groups in page.whole
+    assert nonlinearity not in page.whole
+    cube = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or y or z], dtype=float)
+    cube /= np.linalg.norm(cube, axis=1)[:, None]
+    cases: tuple[tuple[Terms, str], ...] = (("full", groups), ("linear", nonlinearity))
+    for terms, contained in cases:
+        table = calibrate_readings(cube, unit="g", grade="mems", terms=terms).calibration
+        assert contained in contents_of_u(table)
 
 
 def test_the_test_vectors_follow_from_the_printed_numbers(page: Page, content: Any) -> None:
@@ -493,6 +507,7 @@ def test_launches_stand_beside_each_other(session: Path, tmp_path: Path) -> None
             exponent = f"{(own['k'] or 2.0) * own['u'] / size:.1e}".partition("e")[2]
             last = max(last_digit(text), 10.0 ** (int(exponent) - 1))
             assert number(text) == pytest.approx(own["value"] / size, abs=0.5001 * last)
+    assert "the changes between the launches. It does not contain ageing" in page.whole
     for launch in content["launches"]:
         assert launch["log_sha256"] in page.whole
         assert any(f"Residuals: {launch['session']}" in heading for heading in page.headings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -113,8 +114,11 @@ def write_export(folder: Path, to: str) -> tuple[str, str]:
 
 def register(folder: Path, place: str | None, stopped: threading.Event) -> str:
     """Add a calibration to a registry (None: the user's) by `tumble registry add`, and return its messages."""
-    where = [] if place is None else ["--registry", place]
-    status, messages = _run("registry", "add", *where, "--", str(folder / CALIBRATION_FILE), stopped=stopped)
+    place = place or os.environ.get("TUMBLE_REGISTRY")
+    if not place:
+        raise CalibrationError("registry: expected one, found none; start `tumble bench` with --registry FILE")
+    words = "registry", "add", "--registry", place, "--", str(folder / CALIBRATION_FILE)
+    status, messages = _run(*words, stopped=stopped)
     if status not in (0, 1):
         raise CalibrationError(messages[-1] if messages else f"registry: it was ended with the status {status}")
     return "; ".join(messages)

@@ -121,14 +121,18 @@ def _files(content: Mapping[str, Any]) -> list[Any]:
     return file if isinstance(file, list) else [file]
 
 
-def set_unit(folder: Path, unit: str) -> None:
-    """Change the unit of the accelerometers in session.toml; with g that of gyros becomes °/s instead of rad/s."""
+def set_unit(folder: Path, unit: str) -> str:
+    """Change the unit of the accelerometers in session.toml, and return what was changed in words.
+
+    With g that of gyros becomes °/s instead of rad/s."""
     content = _content(folder)
-    log = content["log"]
+    log, gyros = content["log"], ""
     log["accel"] = _in_unit(log["accel"], unit, ACCEL_UNITS)
     if unit.endswith("g") and log.get("gyro", {}).get("unit") == "rad/s":
         log["gyro"] = _in_unit(log["gyro"], "deg/s", GYRO_UNITS)
+        gyros = ", the gyros in deg/s; if that is wrong, change it in session.toml"
     write_session(folder, content)
+    return f"the accelerometers are in {unit}{gyros}"
 
 
 def _in_unit(table: Mapping[str, Any], unit: str, units: Mapping[str, Unit]) -> dict[str, Any]:

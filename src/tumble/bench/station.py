@@ -151,14 +151,15 @@ class Station:
             if not progress.still:
                 self._answers.moved(progress)
             fault, _ = self._present_fault()
+            if len(progress.groups) > self._taken > 0:
+                self._message = ""  # about the position before
             while fault is not None and is_over(fault, self.task, progress):
                 self._message = self._answers.passed(fault, progress)
                 fault, _ = self._present_fault()
             self._estimates.ask(progress, self._answers.excluded)
             screen = screens.screen(self.task, progress, fault, self._estimates.shown, go_on=self._answers.go_on)
-            is_new = fault is not None and (self._last_fault is None or not fault.is_like(self._last_fault))
-            if is_new or len(progress.groups) > self._taken > 0:
-                self._message = ""  # about the fault or the position before
+            if fault is not None and (self._last_fault is None or not fault.is_like(self._last_fault)):
+                self._message = ""  # about the fault before
             self._last_fault, self._taken = fault, max(self._taken, len(progress.groups))
         intake, live, device, programme = self.intake, self._live, self.task.session.device, self.task.programme
         source = "recording has stopped" if self._listen is not None else "the log of another program"
@@ -234,7 +235,8 @@ class Station:
         try:
             return self._buttons[name](value)
         except (TumbleError, OSError) as error:
-            return " ".join(str(error).split())
+            text = error.for_command_line if isinstance(error, TumbleError) else str(error)
+            return " ".join(text.split())
         except Exception as error:
             return _log_error(error, f"{name}: not done")
 
@@ -244,10 +246,10 @@ class Station:
         if fault is None or not fault.unit:
             return "no unit is asked about"
         outdated = self.trace(0)["next"]
-        session_folder.set_unit(self.folder, fault.unit)
+        changed = session_folder.set_unit(self.folder, fault.unit)
         self._begin(self.folder)
         self._outdated = outdated
-        return f"the accelerometers are in {fault.unit}; what is recorded is read anew"
+        return f"{changed}; what is recorded is read anew"
 
     def _stop_recording(self) -> str:
         """Stop recording, and return a sentence with the samples that could not be written."""

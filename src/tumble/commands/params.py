@@ -200,8 +200,8 @@ SITE_LATITUDE = option("--latitude", "Latitude of the site, ° north.", usual_se
 NOISELESS = click.option(
     "--noiseless",
     is_flag=True,
-    help="Only errors of the method: no noise, no instability and, in plans, no parameters beyond bias, scale "
-    "factor and axis angles.",
+    help="Only errors of the method: no noise, no instability and, in plans, exact gravity and time base, and no "
+    "parameters beyond bias, scale factor and axis angles.",
 )
 PACE = _group(
     option("--rest", "Duration of a rest, s.", usual_setup.ON_TABLE.rest, type=float),
@@ -229,7 +229,9 @@ def setup_of(options: dict[str, Any]) -> Setup:
     named = {"turn_rate": "rate_deg_s", "table_error": "table_error_deg", "mounting_error": "mounting_error_deg"}
     named |= {"latitude": "latitude_deg"}
     words = {named.get(name, name): value for name, value in options.items() if name != "noiseless"}
-    return Setup.of(**words, noise_factor=0.0 if options["noiseless"] else 1.0)
+    if options["noiseless"]:
+        words |= dict.fromkeys(("noise_factor", "gravity_u", "clock_ppm_u"), 0.0)
+    return Setup.of(**words)
 
 
 CLUSTER = _group(

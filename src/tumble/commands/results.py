@@ -41,7 +41,7 @@ def check(
 
     A stream is checked rest by rest until it ends or is stopped with Ctrl-C. The file CALIBRATION is never changed.
 
-    Exit status 0: no change is shown; 1: something has changed."""
+    Exit status 0: no change is detected; 1: something has changed."""
     from tumble.documents import as_json
     from tumble.recording.session_file import read_session
     from tumble.run.readings_table import is_table

@@ -46,10 +46,10 @@ _SIGN = "an accelerometer at rest with its axis up must read +g"
 def vertical_faults(
     observations: Observations, session: Session, rate: float, g_sensitivity: float
 ) -> tuple[list[str], dict[int, str]]:
-    """Return why nominal gyros do not carry the vertical from rest to rest, or why up is down: the most likely causes.
+    """Return why nominal gyros do not carry the vertical from rest to rest, or why accelerometers are upside down.
 
-    `rate` is in samples per second, `g_sensitivity` the usual one of the gyros, rad·s/m. Also returned
-    are single turns that lose the vertical: for the rest before each, from 0, the reason to leave the turn out."""
+    Single turns that lose the vertical are returned apart: for the rest before each, from 0, the reason to leave it
+    out. `rate` is in samples per second, `g_sensitivity` the usual one of the gyros, rad·s/m."""
     turns, block, channels = observations.turns, observations.gyro_block, session.log.gyro
     if turns is None or block is None or channels is None or len(turns) == 0:
         return upside_down(observations, session, g_sensitivity), {}
@@ -77,7 +77,7 @@ def vertical_faults(
     tilting = [turn for turn in ends if ends_tilted(*turn[1:])]
     likelihoods, scale, stated_cost = turn_likelihoods(tilting), 1.0, math.inf
     if likelihoods:
-        scale = likelihoods[0].found(0.0, SMALL_SCALE_ERROR)
+        scale = likelihoods[0].best_q(0.0, SMALL_SCALE_ERROR)
         stated_cost = likelihoods[0].at(math.log(scale))
         others = [*_interpretations(likelihoods, channels, session.log, rate, float(observations.rests.stop.max()))]
         others += _columns_of_other_scales(tilting, block.axes, channels) if block.triad else ()
@@ -136,7 +136,7 @@ def _interpretations(
     yield from ((wrong_unit + nominal.at(-math.log(ratio)), text) for text, ratio in ratios.items())
     for exchanged in likelihoods[1:]:
         yield exchanged.of_nominal(WIDTHS.scale).at(0.0), f"; {columns_text(exchanged.exchange)}"
-    ratio = likelihoods[0].found()
+    ratio = likelihoods[0].best_q()
     text = f"; the gyros read about {ratio:.3g} times what they should"
     suspects = ["the nominal scale of [log.gyro]"] if channels.raw else []
     suspects += ["log.rate_hz"] if log.rate is not None else []
@@ -159,7 +159,7 @@ def _columns_of_other_scales(
         likelihoods = column_likelihoods(turns, axes, factor)
         free = cost_of_free_scale(WIDTHS.scale) - 2.0 * math.log(WIDTHS.named_wrongly / len(likelihoods) / len(tried))
         for column, (name, likelihood) in enumerate(zip(channels.columns, likelihoods, strict=True)):
-            ratio, scale = likelihood.found(), channels.scale / factor
+            ratio, scale = likelihood.best_q(), channels.scale / factor
             scale[column] *= ratio
             remedy = f"{per}scale = [{', '.join(f'{value:.4g}' for value in scale)}] in [log.gyro] would fit"
             if not channels.raw and channels.unit_name not in GyroTable.SCALE_PER:

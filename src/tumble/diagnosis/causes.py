@@ -90,29 +90,29 @@ def fit_causes(session: LinearisedSession, causes: Sequence[Cause]) -> list[list
     The p-value is multiplied by the number of places tried (Bonferroni)."""
     rest, turn = (np.concatenate([cause.columns[rows] for cause in causes], axis=2) for rows in (0, 1))
     ends = np.cumsum([cause.columns[0].shape[2] for cause in causes])
-    columns = np.split(np.arange(ends[-1]), ends[:-1])
+    columns = np.split(np.arange(ends[-1]), ends[:-1])  # of each cause
     linearised, instrument = session.linearised, session.problem.instrument
     groups = positions_by_group(instrument.names[: instrument.linear_count])
 
     # the noise: as estimated or, for a jump, with in-run biases of usual size, which are less likely by `excess`
     components, in_run = linearised.components, linearised.problem.observations.in_run
     as_estimated = list(projections(linearised, components, rest, turn))
-    with_usual, excess = as_estimated, 0.0
+    with_usual_biases, excess = as_estimated, 0.0
     if components.wanders and any(cause.beside for cause in causes):
         sizes = {f"{kind}_in_run": min(getattr(components, f"{kind}_in_run"), in_run[kind]) for kind in in_run}
         usual = replace(components, **sizes, unlike=np.zeros(0))
-        with_usual = list(projections(linearised, usual, rest, turn))
+        with_usual_biases = list(projections(linearised, usual, rest, turn))
         excess = float(solve(linearised, usual).deviance - session.solution.deviance)
 
     causes_by_session = []
-    for s, (estimated, steady) in enumerate(zip(as_estimated, with_usual, strict=True)):
+    for s, (estimated, usual_biases) in enumerate(zip(as_estimated, with_usual_biases, strict=True)):
         best = dict[tuple[str, SensorKind | None], tuple[Finding, IntArray, Projection]]()
         for cause, own in zip(causes, columns, strict=True):
-            judge, similar = steady if cause.beside else estimated, own[len(own) - cause.beside :]
-            fit, sized = estimated.fit(own), judge.fit(own)
-            if fit is None or sized is None:
+            judge, size = usual_biases if cause.beside else estimated, len(own) - cause.beside
+            fit, judged = estimated.fit(own), judge.fit(own)
+            if fit is None or judged is None:
                 continue
-            p_value = cause.places * judge.p_value(own, similar)
+            p_value = cause.places * judge.p_value(own, beside=own[size:])
             if cause.beside:
                 p_value = max(p_value, cause.places * judge.p_value(own, handicap=max(0.0, excess)))
             name = cause.name, cause.kind
@@ -128,7 +128,7 @@ def fit_causes(session: LinearisedSession, causes: Sequence[Cause]) -> list[list
                 concerns=() if cause.kind is None else (cause.kind,),
                 p_value=min(1.0, p_value),
                 by_group={group: float(damage[members].max()) for group, members in groups.items()},
-                sentence=cause.sentence(s, float(np.abs(sized.values[: len(own) - cause.beside]).max())),
+                sentence=cause.sentence(s, float(np.abs(judged.values[:size]).max())),
             )
             best[name] = found, own, judge
         causes_by_session.append(_beside_the_likeliest(list(best.values())))
@@ -165,22 +165,22 @@ class LinearisedSession:
 
     def __init__(self, linearised: Linearisation) -> None:
         self.linearised = linearised
-        self.problem = linearised.problem.with_lags_at(linearised.point)
+        self.problem = linearised.problem.with_lagged_temperatures(linearised.point)
         self.observations = self.problem.observations
         self.blocks: dict[SensorKind, Block] = {block.kind: block for block in self.problem.instrument.blocks}
         L = linearised.point.attitudes
         self.force = linearised.point.gravity * L[:, 1]  # (N, 3), in the body at rest
         self.rate = self.problem.earth @ L  # (N, 3), of the Earth
-        turns, about = self.observations.turns, linearised.about
-        moved = np.zeros(0, dtype=bool) if about is None else about.moments.T >= SHORTEST_TURN
+        turns, integrated = self.observations.turns, linearised.integrated
+        moved = np.zeros(0, dtype=bool) if integrated is None else integrated.moments.T >= SHORTEST_TURN
         # the parts of one rest are joined by turns of no duration
-        self.has_turns = [bool(moved[part.turns].any()) for part in self.problem.parts]
+        self.has_turns = [bool(moved[part.turns].any()) for part in self.problem.session_spans]
         self.path_rotations, self.path_forces = np.zeros((0, PATH_STEPS, 3, 3)), np.zeros((0, PATH_STEPS, 3))
-        if about is not None and turns is not None:
+        if integrated is not None and turns is not None:
             # since the start of each turn, taken as about one axis in the body
-            path = rotation_vector(about.C)
+            path = rotation_vector(integrated.C)
             angle = np.linalg.norm(path, axis=1, keepdims=True)
-            beyond_half = np.einsum("ka,ka->k", path, about.moments.body[:, 1:4]) < 0.0
+            beyond_half = np.einsum("ka,ka->k", path, integrated.moments.body[:, 1:4]) < 0.0
             path = np.where(beyond_half[:, None], path * (1.0 - 2.0 * np.pi / np.maximum(angle, 1e-9)), path)
             share = (np.arange(PATH_STEPS) + 0.5) / PATH_STEPS
             back = rotation_matrix(-(share[None, :, None] * path[:, None]).reshape(-1, 3))
@@ -197,28 +197,28 @@ class LinearisedSession:
         """The observations of each session."""
         if self.observations.together is None:
             return [self.observations]
-        return [extract_session(self.observations, part.rests, part.turns) for part in self.problem.parts]
+        return [extract_session(self.observations, part.rests, part.turns) for part in self.problem.session_spans]
 
     def columns(self, kind: SensorKind, change: Array, at_rest: Array = STEADY, in_turn: Array = STEADY) -> Columns:
         """Return the effect of changes ∂K/∂c = `change` (n, 15, q) of the coefficients of a kind of sensors, times
         their courses `at_rest` (N, q) and `in_turn` (K, q), in which 1 is for all."""
-        rows, block, sensors = self.linearised, self.blocks[kind], self._sensors(kind)
+        rows, block, sensors = self.linearised, self.blocks[kind], self.linearised.noise.places[kind]
         by_function = functions(block, self.force, self.rate)
         rest, turn = (np.zeros((*residuals.shape, change.shape[2])) for residuals in rows.residuals)
         rest[:, sensors] = np.einsum("npb,pbq->npq", by_function, change) * at_rest[:, None]
-        if rows.about is not None:
+        if rows.integrated is not None:
             t = 6 if self.problem.instrument.in_velocities else 3
-            turn[:, :t] = along_paths(rows.about.paths[:, :, sensors], change)[:, :t]
+            turn[:, :t] = along_paths(rows.integrated.paths[:, :, sensors], change)[:, :t]
             turn[:, t:] = rows.bias[:, t:, sensors] @ change[:, CONSTANT]
         return rest, turn * in_turn[:, None]
 
     def bias_columns(self, kind: SensorKind, at_rest: Array, in_turn: Array) -> Columns:
         """Return the effect of biases that vary by factors `at_rest` (N, n) and `in_turn` (K, steps, n)."""
-        block, about = self.blocks[kind], self.linearised.about
+        block, integrated = self.blocks[kind], self.linearised.integrated
         rest, turn = self.columns(kind, unit_biases(block), at_rest, in_turn.mean(axis=1))
-        if kind == "accel" and about is not None and self.problem.instrument.in_velocities:
+        if kind == "accel" and integrated is not None and self.problem.instrument.in_velocities:
             turned = np.swapaxes(self.path_rotations, 2, 3) @ np.linalg.pinv(block.axes)  # C s_p
-            turn[:, 3:6] = np.einsum("ksip,ksp,k->kip", turned, in_turn, about.moments.T / PATH_STEPS)
+            turn[:, 3:6] = np.einsum("ksip,ksp,k->kip", turned, in_turn, integrated.moments.T / PATH_STEPS)
         return rest, turn
 
     def after(self, place: float, *, centred: bool) -> tuple[Array, Array, list[int]]:
@@ -226,7 +226,7 @@ class LinearisedSession:
 
         They follow by 1, or ½ for the turn there, less the mean over the rests if `centred`."""
         at_rest, in_turn, lasts = np.zeros(len(self.force)), np.zeros(len(self.path_forces)), list[int]()
-        for part in self.problem.parts:
+        for part in self.problem.session_spans:
             rests, before = np.arange(part.rests.start, part.rests.stop), self.problem.before_turn[part.turns]
             if len(possible := rests[RESTS_BESIDE - 1 : -RESTS_BESIDE]):
                 last = round(possible[0] + place * (len(possible) - 1))
@@ -236,11 +236,6 @@ class LinearisedSession:
                 in_turn[part.turns] -= mean
             lasts.append(int(last) if len(possible) else part.rests.start)
         return at_rest, in_turn, lasts
-
-    def _sensors(self, kind: SensorKind) -> slice:
-        """Return the rows of a kind of sensors at rest."""
-        n = self.observations.accel_block.size
-        return slice(n) if kind == "accel" else slice(n, n + self.blocks[kind].size)
 
 
 def unit_biases(block: Block) -> Array:
@@ -280,7 +275,7 @@ def jumps(session: LinearisedSession) -> Iterator[Cause]:
     that the jump must also be significant beside it, by the rests and the other turns. The parameters are the means
     over the rests, and the jump is about these."""
     rests = session.observations.rests
-    longest = max(part.rests.stop - part.rests.start for part in session.problem.parts)
+    longest = max(part.rests.stop - part.rests.start for part in session.problem.session_spans)
     places = np.linspace(0.0, 1.0, min(max(1, longest - 2 * RESTS_BESIDE + 1), JUMP_PLACES))
     for place in places.tolist():
         at_rest, in_turn, lasts = session.after(place, centred=True)
@@ -322,10 +317,10 @@ def _products(session: LinearisedSession, kind: SensorKind, block: Block) -> Cau
 
 def _gyro_nonlinearity(session: LinearisedSession, gyro: Block) -> Cause:
     """Return scale factors of gyros that vary with the square of the rate."""
-    about, change = session.linearised.about, np.zeros((gyro.size, FUNCTIONS, gyro.size))
-    assert about is not None
-    duration = np.maximum(about.moments.T, SHORTEST_TURN)[:, None]
-    square = about.moments.body_rates[:, [0, 3, 5]] / duration @ (gyro.axes**2).T
+    integrated, change = session.linearised.integrated, np.zeros((gyro.size, FUNCTIONS, gyro.size))
+    assert integrated is not None
+    duration = np.maximum(integrated.moments.T, SHORTEST_TURN)[:, None]
+    square = integrated.moments.body_rates[:, [0, 3, 5]] / duration @ (gyro.axes**2).T
     change[:, RATE] = np.eye(gyro.size)[:, None] * gyro.axes[:, :, None]
     return Cause(name="gyro nonlinearity", kind="gyro", columns=session.columns("gyro", change, 0.0 * STEADY, square))
 
@@ -344,7 +339,7 @@ def _lags(
     rests, turns = session.observations.rests, session.observations.turns
     turn_after = {rest: k for k, rest in enumerate(session.problem.before_turn.tolist())}
     force, path = session.force @ block.axes.T, session.path_forces @ block.axes.T
-    first = {part.rests.start for part in session.problem.parts}
+    first = {part.rests.start for part in session.problem.session_spans}
     at_rest, in_turn = np.zeros((*times.shape, *force.shape)), np.zeros((*times.shape, *path.shape))
     state = np.zeros((*times.shape, block.size))
     for i, here in enumerate(force):
@@ -390,7 +385,7 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Cause]:
     assert latitude is not None
     stated, step = session.problem.earth, 1e-4 * EARTH_RATE
     changed = [
-        linearise(replace(session.problem, earth=stated + step * axis), rows.point, rows.about).residuals
+        linearise(replace(session.problem, earth=stated + step * axis), rows.point, rows.integrated).residuals
         for axis in np.eye(3)[:2]
     ]
     by_north_up = tuple(
@@ -419,7 +414,7 @@ def earth_rate_errors(session: LinearisedSession) -> Iterator[Cause]:
 
 def quantisation(session: LinearisedSession, s: int) -> Iterator[Finding]:
     """Yield kinds of sensors of session s whose rounding errors are large beside the noise of the mean of a rest."""
-    rests = session.problem.parts[s].rests
+    rests = session.problem.session_spans[s].rests
     for kind in session.blocks:
         unit, rounding = BIAS_UNITS[kind], session.observations.rounding.get(kind)
         if rounding is None or not rounding.common_u.any():

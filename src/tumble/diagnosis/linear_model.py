@@ -165,8 +165,8 @@ def linear_joint(observations: Observations) -> Estimate:
     assert linear is not None
     values = np.append(linear.point.values, np.zeros(len(instrument.names) - instrument.linear_count))
     point = replace(linear.point, values=values)
-    about = None if linear.about is None else IntegratedTurns.of(observations, instrument, values)
-    shift = shift_by_likelihood(replace(linearise(problem, point, about), noise=linear.noise))
+    integrated = None if linear.integrated is None else IntegratedTurns.of(observations, instrument, values)
+    shift = shift_by_likelihood(replace(linearise(problem, point, integrated), noise=linear.noise))
     if full is not None and estimate.converged:
         assert full.budget is not None
         assert estimate.budget is not None
@@ -236,7 +236,7 @@ def with_omitted_groups(estimate: Estimate, problem: Problem, shift: Array, size
         if budget is not None:
             prior = source(f"prior.{group.name}", size, instrument.units[place.start])
             budget = budget.with_source(prior, of_group @ of_group.T)
-    rate = usual_rate(None if estimate.linearised is None else estimate.linearised.about)
+    rate = usual_rate(None if estimate.linearised is None else estimate.linearised.integrated)
     gravity = problem.observations.site.gravity
     return replace(
         full,

@@ -21,6 +21,7 @@ from tumble.diagnosis.causes import SHORTEST_TURN, Cause, LinearisedSession
 from tumble.diagnosis.findings import TURN_GROUPS, Finding
 from tumble.diagnosis.projection import SumOfSquares, approximate_drops
 from tumble.inference.integrated_turns import IntegratedTurns
+from tumble.inference.linearisation import gained_in_turns
 from tumble.recording.rows.gaps import REGULAR_HINT
 from tumble.reduction.observations import Observations
 from tumble.rotation import tangent_basis
@@ -87,29 +88,29 @@ def stamps_remedy(observations: Observations) -> str:
 def lost_in_one_turn(session: LinearisedSession) -> list[Cause]:
     """Return a loss of samples in the likeliest turn of each session; none if time stamps would show it."""
     rows, in_velocities = session.linearised, session.problem.instrument.in_velocities
-    if rows.about is None or not (any(session.has_turns) and session.observations.unstamped):
+    if rows.integrated is None or not (any(session.has_turns) and session.observations.unstamped):
         return []
-    axis = np.where(rows.about.moments.T[:, None] < SHORTEST_TURN, 0.0, _turn_axes(rows.about))
+    axis = np.where(rows.integrated.moments.T[:, None] < SHORTEST_TURN, 0.0, _turn_axes(rows.integrated))
     rest, turn = (np.zeros((*each.shape, 2 if in_velocities else 1)) for each in rows.residuals)
     turn[:, :3, 0] = axis
     if in_velocities:
-        turn[:, 3:6, 1] = np.cross(axis, rows.gained)
+        turn[:, 3:6, 1] = np.cross(axis, gained_in_turns(rows.problem, rows.point))
     drops = approximate_drops(session.solution.equations.whitening["turn"] @ turn, *session.solution.residuals["turn"])
     chosen, words = np.zeros(len(turn)), list[dict[str, object]]()
-    for part, observed in zip(session.problem.parts, session.observed, strict=True):
+    for part, observed in zip(session.problem.session_spans, session.observed, strict=True):
         words.append({"turn": "", "number": ""})
         if drops[part.turns].any() and observed.turns is not None:
             worst = int(np.argmax(drops[part.turns]))
             chosen[part.turns.start + worst] = 1.0
             words[-1] = {"turn": observed.turn_named(worst), "number": observed.turns.first[worst] + 1}
     columns = rest, turn * chosen[:, None, None]
-    tried = max(part.turns.stop - part.turns.start for part in session.problem.parts)
+    tried = max(part.turns.stop - part.turns.start for part in session.problem.session_spans)
     return [Cause(name="lost samples", kind=None, columns=columns, places=tried, words=words)]
 
 
-def _turn_axes(about: IntegratedTurns) -> Array:
+def _turn_axes(integrated: IntegratedTurns) -> Array:
     """Return the axis (K, 3) of each turn, zero where nothing turned."""
-    path = np.einsum("kipp->ki", about.moments.Phi[..., RATE])
+    path = np.einsum("kipp->ki", integrated.moments.Phi[..., RATE])
     return np.asarray(path / np.maximum(np.linalg.norm(path, axis=1, keepdims=True), 1e-9))
 
 
@@ -142,10 +143,14 @@ def lost_in_all_turns(session: LinearisedSession, s: int) -> Finding:
     Lost samples also reduce the scale factors of the gyros by the share that is lost, and change their axes. This is
     not scatter, and its size is not known from scatter. Jitter of time stamps has either sign, and no such effect.
     The variance components of the estimate scatter alike in all directions."""
-    about, observed, part = session.linearised.about, session.observed[s], session.problem.parts[s].turns
-    assert about is not None
-    axis = _turn_axes(about)[part]
-    angle = np.sqrt(about.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
+    integrated, observed, part = (
+        session.linearised.integrated,
+        session.observed[s],
+        session.problem.session_spans[s].turns,
+    )
+    assert integrated is not None
+    axis = _turn_axes(integrated)[part]
+    angle = np.sqrt(integrated.moments.body_rates[part][:, [0, 3, 5]].sum(axis=1))[:, None, None]
     W = session.solution.equations.whitening["turn"][part, :, :3]
     residual, covariance = (each[part] for each in session.solution.residuals["turn"])
     along, across = (

@@ -143,7 +143,7 @@ def misfit(estimate: Estimate, search: bool = True) -> tuple[Finding, ...]:
     expected = solve(linearised, VarianceComponents(accel_in_run=accel_in_run, gyro_in_run=gyro_in_run))
     groups = [
         list(_groups_of_residuals(linearised.components, expected, *each))
-        for each in zip(session.observed, linearised.problem.parts, strict=True)
+        for each in zip(session.observed, linearised.problem.session_spans, strict=True)
     ]
     causes = _causes(session) if search else [list[Finding]() for _ in groups]
     limit = holm_limit([*(g.p_value for each in groups for g in each), *(c.p_value for each in causes for c in each)])

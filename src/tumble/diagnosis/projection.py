@@ -114,9 +114,11 @@ def projections(
     of_sessions = zip(equations.session_factors, rows.local_prior, strict=True)
     triangles = [with_local_prior(problem.local_u, *each)[q:, q:] for each in of_sessions]
     common = np.append(np.arange(p), p + c)
-    for s, part in enumerate(problem.parts):
+    for s, part in enumerate(problem.session_spans):
         whitened = [equations.rows[kind][at] for kind, at in part.rows.items() if kind != "link"]
         length = np.sqrt(sum((each[..., -1 - c : -1] ** 2).sum(axis=(0, 1)) for each in whitened))
+
+        # triangle of the session, with the other sessions and the priors; columns of unit length
         triangle, others = triangles[s].copy(), 0
         for o, other in enumerate(triangles):
             if o != s:
@@ -126,28 +128,32 @@ def projections(
                 fold(prior, triangle)
         fold(rows.prior[rows.prior.any(axis=1)], triangle, triangular=True)  # without the zero rows of the columns
         triangle[:, p : p + c] /= np.where(length > 0.0, length, 1.0)
-        first = int(triangle[0, 0] == 0.0)  # 1 if gravity is taken as exact
-        inverse = inverse_of(triangle[first:p, first:p])
-        determined = p - first - float(((rows.prior[:, first:p] @ inverse) ** 2).sum())  # γ
-        by_columns, variance = inverse @ triangle[first:p, p : p + c], (inverse**2).sum(axis=1)
-        if equations.wanders and len(problem.parts) == 1:
-            biases = 1 - first + problem.biases
+
+        # shift of the parameters by the columns, and their variances; biases are the means over a single session
+        exact = int(triangle[0, 0] == 0.0)  # 1 if gravity is exact
+        inverse = inverse_of(triangle[exact:p, exact:p])
+        by_columns, variance = inverse @ triangle[exact:p, p : p + c], (inverse**2).sum(axis=1)
+        if equations.wanders and len(problem.session_spans) == 1:
+            biases = 1 - exact + problem.biases
             by_common, by_rests = session_mean_bias(equations)
-            scale = np.append(np.ones(p - first), np.where(length > 0.0, length, 1.0))
-            by_common = by_common[:, q + first : -1] / scale
-            variance[biases] = ((inverse[biases] + by_common[:, : p - first] @ inverse) ** 2).sum(axis=1)
+            scale = np.append(np.ones(p - exact), np.where(length > 0.0, length, 1.0))
+            by_common = by_common[:, q + exact : -1] / scale
+            variance[biases] = ((inverse[biases] + by_common[:, : p - exact] @ inverse) ** 2).sum(axis=1)
             variance[biases] += (by_rests**2).sum(axis=(0, 2))
             by_columns[biases] += by_common @ np.vstack([by_columns, -np.eye(c)])
+
+        # degrees of freedom: rows that are not left out, less the unknowns that these determine
+        determined = p - exact - float(((rows.prior[:, exact:p] @ inverse) ** 2).sum())  # γ
         undetermined = np.count_nonzero(equations.rest_factors[part.rests].diagonal(0, 1, 2)[:, :3] == 0.0)
         weights = (noise.rows[kind].root_weights[at] ** 2 for kind, at in part.rows.items() if kind != "link")
-        kept = sum(weight.sum() for weight in weights)  # rows that are not left out
+        kept = sum(weight.sum() for weight in weights)
         angles = 3 * (part.stations.stop - part.stations.start)
         yield Projection(
             triangle=triangle[p : p + c, p : p + c],
             residual=triangle[p : p + c, -1],
-            by_columns=by_columns[1 - first :],
+            by_columns=by_columns[1 - exact :],
             length=length,
-            u=np.sqrt(variance[1 - first :]),
+            u=np.sqrt(variance[1 - exact :]),
             chi_square=float((triangle[p:, -1] ** 2).sum()),
             degrees=max(1.0, float(kept) - angles + undetermined + others - determined),
         )

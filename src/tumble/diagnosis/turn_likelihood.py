@@ -16,10 +16,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import permutations, product
 
 import numpy as np
 
+from tumble.rotation import signed_permutations
 from tumble.units import DEGREE, Array
 
 MOST_STEPS = 192  # rotations per turn: 2° each in a whole revolution
@@ -110,7 +110,7 @@ class TurnLikelihood:
         """Return the cost of one ln Q, with that of the exchange."""
         return float(np.interp(log_q, self.log_q, self.cost, left=0.0, right=self.unturned)) + self.exchanged
 
-    def found(self, log_q: float | None = None, within: float = 0.1) -> float:
+    def best_q(self, log_q: float | None = None, within: float = 0.1) -> float:
         """Return the Q of least misfit within an interval of ln Q, by default about the least cost."""
         log_q = float(self.log_q[np.argmin(self.cost)]) if log_q is None else log_q
         near = np.flatnonzero(np.abs(self.log_q - log_q) <= within)
@@ -170,7 +170,7 @@ def turn_likelihoods(
         pairs = zip(exchanges, cosines, strict=True)
         return [TurnLikelihood.of(log_q, cosine, path[:most] / q, widths, exchange) for exchange, cosine in pairs]
 
-    stated, *exchanges = signed_permutations()
+    stated, *exchanges = sorted(signed_permutations(), key=lambda exchange: min(_explanations(exchange))[0])
     (first,) = likelihoods([stated], GRID, 1, MOST_TURNS)
     if first.least < 0.5 * least_cost(len(steps), widths.vertical):
         return (first,)
@@ -233,13 +233,6 @@ def _cosines(steps: Array, before: Array, behind: Array, q: Array) -> Array:
 
 
 # -------------------- columns that are exchanged or have the wrong sign --------------------
-
-
-def signed_permutations() -> list[Array]:
-    """Return all exchanges of columns and signs (3, 3), those with the fewest changes first."""
-    orders, signs = permutations(range(3)), list(product((1.0, -1.0), repeat=3))
-    exchanges = [np.array(sign)[:, None] * np.eye(3)[list(order)] for order in orders for sign in signs]
-    return sorted(exchanges, key=lambda exchange: min(_explanations(exchange))[0])
 
 
 def columns_text(exchange: Array) -> str:

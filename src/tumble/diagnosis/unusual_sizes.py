@@ -54,7 +54,7 @@ def usual_sizes(estimate: Estimate, linearised: Linearisation, factor: float = 1
 
 def _longest_session(linearised: Linearisation) -> float:
     """Return the time from the first rest of a session to its last, s, of the longest session."""
-    rests, parts = linearised.problem.observations.rests, linearised.problem.parts
+    rests, parts = linearised.problem.observations.rests, linearised.problem.session_spans
     return max(float(rests.stop[part.rests].max() - rests.start[part.rests].min()) for part in parts)
 
 

@@ -85,7 +85,10 @@ def verdict(
         findings += (each for each in of_residuals if not without or (each.kinds and without.isdisjoint(each.kinds)))
     if estimate.integral is not None and is_poorly_sampled(estimate.integral):
         findings.append(
-            remark("u is rough: the integral over scatter, in-run biases and sizes of groups has not settled")
+            remark(
+                "the integral over scatter, in-run biases and sizes of groups has not converged: values and u may be "
+                f"off by {100.0 * estimate.integral.u_error:.0f} % of u"
+            )
         )
     order = ((), ("accel",), ("gyro",))
     refusals = sorted((finding for finding in findings if finding.refuses), key=lambda each: order.index(each.kinds))

@@ -87,8 +87,8 @@ def identify_log(files: Sequence[Path], folder: OutputFolder, given: Given = NOT
         )
         if written != first_written:
             raise InputError(
-                f"{log.files[0]}: expected a log written as {first.files[0].name} is, found another; give them to "
-                "sessions of their own"
+                f"{log.files[0]}: expected the format and columns of {first.files[0].name}, found others; make a "
+                "session of each"
             )
     first.check_has_sensors(gyros_suffice=True)
     all_files = tuple(file for log in logs for file in log.files)

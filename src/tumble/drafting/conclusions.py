@@ -182,7 +182,7 @@ def _measured_gyro_scale(best: Hypothesis, gyro: SensorScale) -> float:
     """Return the reading of the gyros for 1 °/s from the turns, near the scale of a hypothesis."""
     assert best.profile is not None
     rate = best.times.rate
-    return best.profile.found(math.log(gyro.reading(rate) * rate / DEGREE)) * DEGREE / rate
+    return best.profile.best_q(math.log(gyro.reading(rate) * rate / DEGREE)) * DEGREE / rate
 
 
 def _scale_remark(kind: str, scale: SensorScale, evidence: Evidence, best: Hypothesis) -> str:

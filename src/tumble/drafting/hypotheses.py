@@ -370,14 +370,14 @@ def _gyro_trials(
     for gyro, assumption in gyros:
         trials = assumed_times
         if profile is not None and free_rate is not None and gyro.unit is not None and not gyro.increment:
-            rate = profile.found() * DEGREE / gyro.value
+            rate = profile.best_q() * DEGREE / gyro.value
             if RATE_LIMITS[0] <= rate <= RATE_LIMITS[1]:
                 cost = free_rate - 2.0 * math.log(UNLISTED_SHARE) + cost_of_free_scale(widths.scale, _LN_RATE_RANGE)
                 trials = (*assumed_times, at_rate(float(f"{rate:.4g}"), cost))
         for times in trials:
             scale, cost = gyro, assumption
             if profile is not None and not gyro.listed:
-                scale = replace(gyro, value=float(f"{profile.found() * DEGREE / times.rate:.4g}"))
+                scale = replace(gyro, value=float(f"{profile.best_q() * DEGREE / times.rate:.4g}"))
             if nominal is not None:
                 cost += nominal.at(math.log(scale.reading(times.rate) * times.rate / DEGREE))
             if profile is not None or gyro.unit is not None:

@@ -63,13 +63,13 @@ def session_of_log(log: Path, given: Given, progress: Progress) -> Iterator[tupl
         if made[folder].get("given") == stated and (edited or made[folder].get("version") == __version__):
             by_hand = ", corrected by hand" if edited else ""
             with in_use(folder, shared=True):
-                yield folder, f"{folder / SESSION_FILE}: the session made of this log before{whose}{by_hand}", []
+                yield folder, f"{folder / SESSION_FILE}: the session made earlier from this log{whose}{by_hand}", []
             return
     origin, before = "", latest.get("given", {})
     if of_log:
         other = [key for key in {**before, **stated} if before.get(key) != stated.get(key)]
         options = f" ({', '.join(f'--{key}' for key in other).replace('_', '-')})" if other else ""
-        origin = f"made anew, with other options or by another version{options}; {of_log[0]} stays; "
+        origin = f"new session, as options or the version of tumble differ{options}; {of_log[0]} is kept too; "
     names = (f"{stem}-session" if number == 1 else f"{stem}-{number}-session" for number in count(1))
     folder = next(path for path in map(log.with_name, names) if not path.exists())
     if not os.access(log.parent, os.W_OK):

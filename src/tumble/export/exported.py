@@ -159,10 +159,10 @@ def notes_of(
     first = [
         *remarks,
         *_missing_kinds(calibration),
-        *([f"off by what is not in this file: {errors}"] if errors else []),
+        *([f"remaining error: {errors}"] if errors else []),
     ]
     lost = [*lacks, *_groups_not_held(calibration, held)]
-    no_place = f"no place in this file for {'; '.join(lost)}" if lost else ""
+    no_place = f"not in this file: {'; '.join(lost)}" if lost else ""
     return tuple(note for note in ("; ".join(first), no_place, "; ".join(see_to)) if note)
 
 

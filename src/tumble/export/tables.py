@@ -35,7 +35,7 @@ from tumble.result.temperature_curves import temperature_curve, thermal_paramete
 from tumble.sensors.model import UNITS
 from tumble.sensors.parameters import THERMAL, group_name, groups, variable_of
 
-NOT_RESULTS = "rests, turns, launches and iterations of the calibration have no place in this file"
+NOT_RESULTS = "not in this file: rests, turns, launches and iterations of the calibration"
 _FURTHER = ("prior", "learned", "k", "dof")
 _STEPS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)  # K
 _MAX_ROWS = 25

@@ -33,7 +33,7 @@ from tumble.reduction.turns.array_motion import ArrayMoments
 from tumble.rotation import skew
 from tumble.sensors.instrument import Instrument
 from tumble.sensors.parameters import PAIRS
-from tumble.units import G_STANDARD, Array
+from tumble.units import G_STANDARD, Array, IntArray
 
 ROUNDS = 15  # largest number of linearisations
 CONVERGED = 1e-7  # m: step of the lever arms
@@ -108,50 +108,49 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
     unknowns of single sensors, lever arms last, and b are the delay and E. All of a but the lever arms are
     eliminated."""
     accel, K = instrument.accel, instrument.model(instrument.accel, values).matrix
-    n, order, E = accel.size, accel.channels[:-1], _rate_error(instrument, values)
+    n, named, E = accel.size, accel.channels[:-1], _rate_error(instrument, values)  # all sensors but the last
     r, delay, variances = np.zeros((n, 3)), 0.0, np.ones(len(moments.counts))
     centre = np.concatenate([np.zeros(3 * n - 3), [delay], E.ravel()])
-    precision = np.concatenate([np.full(3 * n - 3, LEVER), [DELAY], np.full(9, RATE_ERROR)]) ** -2.0
+    precision = np.diag(np.concatenate([np.full(3 * n - 3, LEVER), [DELAY], np.full(9, RATE_ERROR)]) ** -2.0)
     s = len(OWN) + 3  # unknowns of a sensor
-    place = np.arange(n * s).reshape(n, s)
-    kept, out = np.append(place[order, -3:].ravel(), n * s + np.arange(COMMON)), place[:, :-3].ravel()
+    places, own_precision = np.arange(n * s).reshape(n, s), np.diag(np.tile(OWN**-2.0, n))
+    kept, eliminated = np.append(places[named, -3:].ravel(), n * s + np.arange(COMMON)), places[:, :-3].ravel()
     for _ in range(ROUNDS):
-        readings, own, common, free = _linear(moments, K, r, delay, E)
+        # normal equations of all unknowns, with the variances of the round before
+        readings, own, common, NNt = _linear(moments, K, r, delay, E)
         M = np.tensordot(1.0 / variances, moments.sums, axes=1)
-        weighted, freed = own @ M, free @ common
+        weighted, projected = own @ M, NNt @ common
         matrix, right = np.zeros((n * s + COMMON, n * s + COMMON)), np.zeros(n * s + COMMON)
-        by_sensor = np.tensordot(weighted, own, axes=([2], [2])) * free[:, None, :, None]
+        by_sensor = np.tensordot(weighted, own, axes=([2], [2])) * NNt[:, None, :, None]
         matrix[:-COMMON, :-COMMON] = by_sensor.reshape(n * s, n * s)
-        matrix[:-COMMON, -COMMON:] = np.einsum("pac,epc->pae", weighted, freed).reshape(n * s, COMMON)
+        matrix[:-COMMON, -COMMON:] = np.einsum("pac,epc->pae", weighted, projected).reshape(n * s, COMMON)
         matrix[-COMMON:, :-COMMON] = matrix[:-COMMON, -COMMON:].T
-        matrix[-COMMON:, -COMMON:] = np.tensordot(common @ M, freed, axes=([1, 2], [1, 2]))
-        right[:-COMMON] = np.einsum("pac,pc->pa", weighted, free @ readings).ravel()
-        right[-COMMON:] = np.einsum("epc,pc->e", common @ M, free @ readings)
-        inner, back = matrix[np.ix_(out, out)] + np.diag(np.tile(OWN**-2.0, n)), matrix[np.ix_(kept, out)]
-        solved = np.linalg.solve(inner, np.column_stack([matrix[np.ix_(out, kept)], right[out]]))
-        normal, gradient = matrix[np.ix_(kept, kept)] - back @ solved[:, :-1], right[kept] - back @ solved[:, -1]
+        matrix[-COMMON:, -COMMON:] = np.tensordot(common @ M, projected, axes=([1, 2], [1, 2]))
+        right[:-COMMON] = np.einsum("pac,pc->pa", weighted, NNt @ readings).ravel()
+        right[-COMMON:] = np.einsum("epc,pc->e", common @ M, NNt @ readings)
+        normal, gradient, solved = _eliminate(matrix, right, kept, eliminated, own_precision)
 
-        about = np.concatenate([r[order].ravel(), [delay], E.ravel()])
-        step = np.linalg.solve(normal + np.diag(precision), gradient - precision * (about - centre))
+        # step, and the variances of the classes by the residuals after it
+        about = np.concatenate([r[named].ravel(), [delay], E.ravel()])
+        step = np.linalg.solve(normal + precision, gradient - precision.diagonal() * (about - centre))
         levers = np.zeros((n, 3))
-        levers[order] = step[:-COMMON].reshape(-1, 3)
+        levers[named] = step[:-COMMON].reshape(-1, 3)
         of_sensors = np.column_stack([(solved[:, -1] - solved[:, :-1] @ step).reshape(n, s - 3), levers])
         residual = readings - np.einsum("psc,ps->pc", own, of_sensors) - np.tensordot(step[-COMMON:], common, axes=1)
-        shown = np.einsum("pc,bcd,pd->b", free @ residual, moments.sums, residual, optimize=True)
-        degrees = np.maximum(moments.counts, 1.0) * np.trace(free)
-        variances = np.where(moments.counts > 0.0, shown / degrees, 1.0)
+        squares = np.einsum("pc,bcd,pd->b", NNt @ residual, moments.sums, residual, optimize=True)
+        degrees = np.maximum(moments.counts, 1.0) * np.trace(NNt)
+        variances = np.where(moments.counts > 0.0, squares / degrees, 1.0)
         r, delay, E = r + levers, delay + step[-COMMON], E + step[1 - COMMON :].reshape(3, 3)
         if np.abs(step[:-COMMON]).max() < CONVERGED:
             break
     share = (1.0 - 2.0 / (n - 6)) ** 2
-    normal, gradient = share * normal, share * gradient
     # the floors added to the variances of delay and places, where levers, relative to the last, gain FLOOR² (I + 1 1ᵀ)
-    first = slice(0, 3 * n - 2)
-    inner = normal[first, first].copy()
-    inner[:-1, :-1] += np.kron(np.eye(n - 1) - 1.0 / n, np.eye(3)) / LEVER_FLOOR**2
-    inner[-1, -1] += DELAY_FLOOR**-2.0
-    less = np.linalg.solve(inner, np.column_stack([normal[first], gradient[first]]))
-    normal, gradient = normal - normal[:, first] @ less[:, :-1], gradient - normal[:, first] @ less[:, -1]
+    floors = np.zeros((3 * n - 2, 3 * n - 2))
+    floors[:-1, :-1] = np.kron(np.eye(n - 1) - 1.0 / n, np.eye(3)) / LEVER_FLOOR**2
+    floors[-1, -1] = DELAY_FLOOR**-2.0
+    normal, gradient, _ = _eliminate(
+        share * normal, share * gradient, np.arange(len(step)), np.arange(3 * n - 2), floors
+    )
     size, direction = np.linalg.eigh(normal)
     informative = size > OUT_OF_RANGE * size[-1]
     root = np.sqrt(size[informative])[:, None] * direction[:, informative].T
@@ -159,12 +158,26 @@ def array_levers(moments: ArrayMoments, instrument: Instrument, values: Array) -
     return ArrayLevers(about=about, root=root, excess=excess)
 
 
+def _eliminate(
+    matrix: Array, right: Array, kept: IntArray, eliminated: IntArray, precision: Array
+) -> tuple[Array, Array, Array]:
+    """Eliminate unknowns (e,) of prior `precision` (e, e) from normal equations, whose `kept` unknowns (k,) remain.
+
+    Returns matrix (k, k) and right-hand side (k,) of these, and [D | d] (e, k + 1): the others are d − D kept."""
+    coupling = matrix[np.ix_(kept, eliminated)]
+    solved = np.linalg.solve(
+        matrix[np.ix_(eliminated, eliminated)] + precision,
+        np.column_stack([matrix[np.ix_(eliminated, kept)], right[eliminated]]),
+    )
+    normal, gradient = matrix[np.ix_(kept, kept)] - coupling @ solved[:, :-1], right[kept] - coupling @ solved[:, -1]
+    return normal, gradient, np.asarray(solved)
+
+
 def _linear(moments: ArrayMoments, K: Array, r: Array, delay: float, E: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the rows of a sample as linear functions of its c regressors, about lever arms r (n, 3), a delay and E (3,
-    3).
+    """Return the rows of a sample as linear functions of its c regressors, about lever arms, delay and E.
 
     These are the residuals (n, c), the derivatives by the unknowns of each sensor (n, s, c) and by delay and E
-    (10, n, c); and N Nᵀ (n, n)."""
+    (10, n, c); and N Nᵀ (n, n). K and r are (n, 3), E is (3, 3)."""
     where, width, placed = moments.columns, moments.sums.shape[1], bool(np.any(r))
     squared = np.zeros((3, 3, width))  # Ω² of the rates (I + E) ω at t − τ
     squared[..., where["products"]] = _SQUARES @ (np.einsum("ijkl,ij->kl", _BY_RATE_ERROR, E) + np.eye(6))

@@ -1,8 +1,8 @@
 # cython: language_level=3, infer_types=True, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
-"""The compiled loops of `tumble.inference.elimination`, over rests, rows and columns.
+"""Compiled loops of `tumble.inference.elimination`, over rests, rows and columns.
 
-Sums are taken in the order that is written: a compiler that may choose another one chooses differently from one
-compilation to the next, and rows of a campaign would differ in the last digit from process to process.
+Sums are evaluated in the order in which they are written. A compiler that may reorder them does so differently in each
+compilation, and the rows of a campaign would differ in the last digit between processes.
 """
 
 from libc.math cimport INFINITY, log, sqrt
@@ -19,13 +19,14 @@ def eliminate_rests(
     double rounding, double[:, ::1] work, double[:, ::1] carried, double[::1, :] kept, double[::1] length,
     double[::1] parts,
 ):
-    """Eliminate one rest after the other, and return how many rows on the parameters alone are left in `kept`.
+    """Eliminate one rest after the other, and return the number of rows written to `kept`.
 
-    rest, turn, link, factor : as of `tumble.inference.elimination.eliminate`.
-    rounding : part of its square that a column must keep to have anything in it.
-    work (d + r + t, columns in whole lanes), parts (d + r + t,) : memory.
-    carried (d, 2d + p + 1) : rows on the first rest.
-    length (2d,) : squares of the columns before anything was taken off them.
+    rest, turn, link, factor : those of `tumble.inference.elimination.eliminate`.
+    rounding : squared length of a column, relative to that before the elimination, below which it is rounding.
+    work (d + r + t, 2d + p + 1 rounded up to LANES), parts (d + r + t,) : memory.
+    carried (d, 2d + p + 1) : prior rows of the first rest.
+    kept (rows, p + 1) : output, rows in the parameters alone.
+    length (2d,) : memory, squared lengths of the columns before the elimination.
     """
     cdef Py_ssize_t count = 0
     with nogil:
@@ -38,7 +39,7 @@ cdef for_each_processor _eliminate_rests(
     double rounding, double[:, ::1] work, double[:, ::1] carried, double[::1, :] kept, double[::1] length,
     double[::1] parts, Py_ssize_t* count,
 ) noexcept nogil:
-    """The same without Python."""
+    """Loop of `eliminate_rests`: gather the rows of rest i, reflect them, write `factor`, `carried` and `kept`."""
     d, columns = factor.shape[1], factor.shape[2]
     for i in range(rest.shape[0]):
         rows = _gather(work, carried, rest, i, turn, link[i])
@@ -68,7 +69,7 @@ cdef Py_ssize_t _gather(
     double[:, ::1] work, double[:, ::1] carried, const double[:, :, :] rest, Py_ssize_t i, const double[:, :, :] turn,
     int64_t k,
 ) noexcept nogil:
-    """Put what involves the unknowns of rest i together: carried rows, its own, and those of turn k; how many."""
+    """Gather the rows in the unknowns of rest i: carried ones, those of the rest and of turn k. Return their number."""
     d, columns = carried.shape[0], carried.shape[1]
     rows = d
     for row in range(d):
@@ -91,8 +92,10 @@ cdef Py_ssize_t _gather(
 cdef bint _reflect(
     double[:, ::1] work, double[::1] parts, Py_ssize_t top, Py_ssize_t column, Py_ssize_t rows, double least,
 ) noexcept nogil:
-    """Reflect rows top … rows − 1 so that below row `top` the column is zero, LANES columns after the other, those
-    before `column` being zero already. False, and the column cleared, where nothing is in it."""
+    """Reflect rows top … rows − 1 (Householder) so that the column is zero below row `top`; return whether it was done.
+
+    Columns before `column` are zero; the others are reflected in groups of LANES. A column whose squared length is not
+    above `least` is set to zero instead."""
     cdef double square, part
     cdef double[LANES] sums
     cdef Py_ssize_t lane, block
@@ -128,8 +131,8 @@ cdef bint _reflect(
 
 
 def put_back(const double[:, :, ::1] factor, double[:, :, ::1] inverse, double[:, :, ::1] by_next):
-    """Solve rows (N, d, 2d + w) for the unknowns of the rests: inverses (N, d, d) of their triangles, rows and columns
-    of unknowns that nothing shows being zero, and less these times the columns of the next rest (N, d, d)."""
+    """Write R⁻¹ into `inverse` and A = −R⁻¹ R_next into `by_next` (N, d, d), for `factor` [R | R_next | …]
+    (N, d, 2d + w). Rows and columns of unknowns without information are zero."""
     with nogil:
         _put_back(factor, inverse, by_next)
 
@@ -158,7 +161,7 @@ cdef for_each_processor _put_back(
 
 
 def follow(const double[:, :, ::1] by_next, double[:, :, ::1] values):
-    """Add to the values of every rest, from the last to the first, what `by_next` makes of those of the next one."""
+    """Add `by_next[i]` @ `values[i + 1]` to `values[i]`, from the last rest to the first."""
     with nogil:
         _follow(by_next, values)
 
@@ -175,8 +178,8 @@ def carry_back(
     const double[:, :, ::1] inverse, const double[:, :, ::1] by_next, double[:, :, ::1] own,
     double[:, :, ::1] with_next,
 ):
-    """Covariances of the unknowns with themselves, `own`, and with those of the next rest, from the last to the first,
-    R⁻¹ being the `inverse` of the triangle of each."""
+    """Write the covariances (N, d, d) of the unknowns of each rest, `own` C_i = R⁻¹ R⁻ᵀ + A C_{i+1} Aᵀ, and those with
+    the next rest, `with_next` A C_{i+1}, from the last to the first; `inverse` is R⁻¹ and `by_next` A."""
     with nogil:
         _carry_back(inverse, by_next, own, with_next)
 
@@ -208,13 +211,13 @@ def reduced_rows(
     const double[:, :, ::1] rows, const int64_t[:] first, const double[:, :, ::1] by, const double[::1] shared,
     double[:, ::1] residual, double[:, :, ::1] reduced,
 ):
-    """Residuals of rows, and E, their coefficients for the shared unknowns, directly and through the stations.
+    """Residuals of rows, and their coefficients E for the shared unknowns, directly and through the stations.
 
-    rows : [A | ...] (K, t, u + w), with the unknowns of the stations first.
-    first (K,) : station of each, or the first of two.
-    by (N, d, w) : how the unknowns of the stations follow all others.
-    shared (w,) : what the columns of E and of the right-hand side are multiplied with.
-    residual (K, t), reduced (K, t, w - 1) : residuals and E.
+    rows : [A | ...] (K, t, u + w), with the u unknowns of one or two stations first.
+    first (K,) : station of each block of rows, or the first of two.
+    by (N, d, w) : `NormalEquations.sensitivity`, the unknowns of the stations as functions of the shared ones.
+    shared (w,) : values of the shared unknowns, then −1.
+    residual (K, t), reduced (K, t, w - 1) : output, residuals and E.
     """
     with nogil:
         _reduced_rows(rows, first, by, shared, residual, reduced)
@@ -249,8 +252,8 @@ def residual_covariances(
 ):
     """Covariances 1 - A S A' - (E U)(E U)' of the residuals of rows.
 
-    rows, first : as of `reduced_rows`.
-    own, with_next : S, covariances of the unknowns of a station with themselves and with those of the next.
+    rows, first : those of `reduced_rows`.
+    own, with_next (N, d, d) : blocks of S, covariances of the unknowns of a station, and with those of the next.
     along (K, t, w - 1) : E U, with a root U of the covariance of the shared unknowns.
     work (t, u) : memory.
     """
@@ -263,7 +266,7 @@ cdef for_each_processor _residual_covariances(
     const double[:, :, ::1] with_next, const double[:, :, ::1] along, double[:, :, ::1] covariance,
     double[:, ::1] work,
 ) noexcept nogil:
-    """The same; `work` has A S."""
+    """Loop of `residual_covariances`; `work` has A S."""
     cdef double part
     t, d, n, u = rows.shape[1], own.shape[1], along.shape[2], work.shape[1]
     for k in range(rows.shape[0]):
@@ -287,16 +290,15 @@ def state_forms(
     const double[:, :, ::1] along, const double[::1] shared, const double[:, ::1] rho, const double[:, ::1] step,
     const double[:, ::1] lapse, double[:, :, ::1] work, double[:, ::1] forms,
 ):
-    """Add up what the score of the states of a session is of, over their first values and their steps.
+    """Add the terms of the score of the states of a session, (25), over initial states and steps.
 
-    by (N, d, w) : how the unknowns of the stations, states last, follow all others.
-    own, with_next : covariances of these for given others, with themselves and with those of the next.
-    along (N, s, w - 1) : E U as of `residual_covariances`, E being the rows of `by` that are of the states.
-    shared (w,) : as of `reduced_rows`.
-    rho, step, lapse (N, s) : correlation with the next, standard deviation of the step to it, time over τ; no step
-    follows where that is infinite.
+    by (N, d, w), shared (w,) : those of `reduced_rows`; the last s of the d unknowns are the states.
+    own, with_next : those of `residual_covariances`.
+    along (N, s, w - 1) : E U, with the rows E of `by` of the states and the root U of `residual_covariances`.
+    rho, step, lapse (N, s) : correlation with the next state, standard deviation of the step to it, and Δt/τ, infinite
+    where a new chain begins.
     work (2, s, 2) : memory.
-    forms (3, s) : sums of the squares, of 1 less their variances, and of slopes by ln τ.
+    forms (3, s) : sums of squares, of 1 less their variances, and of derivatives by ln τ.
     """
     with nogil:
         _state_forms(by, own, with_next, along, shared, rho, step, lapse, work, forms)
@@ -307,7 +309,7 @@ cdef for_each_processor _state_forms(
     const double[:, :, ::1] along, const double[::1] shared, const double[:, ::1] rho, const double[:, ::1] step,
     const double[:, ::1] lapse, double[:, :, ::1] work, double[:, ::1] forms,
 ) noexcept nogil:
-    """The same; `work` has value and variance of the states of a station, and of the one before it."""
+    """Loop of `state_forms`; `work` has values and variances of the states of a station and of the one before."""
     cdef double part, value, variance, square, unknown, known, both, change, correlation, of_step
     d, w, s = by.shape[1], by.shape[2], rho.shape[1]
     for i in range(by.shape[0]):
@@ -333,7 +335,7 @@ cdef for_each_processor _state_forms(
 
 
 cdef double _dot(const double* x, const double* y, Py_ssize_t n) noexcept nogil:
-    """The sum of products of n numbers, eight sums side by side."""
+    """Return the scalar product of n numbers by eight sums side by side."""
     cdef double[8] sums
     cdef double total = 0.0
     cdef Py_ssize_t lane, i, whole = n - n % 8
@@ -354,7 +356,7 @@ cpdef bint whiten(
     const double[:] variance, const double[:, :] weight, double[:, ::1] work, double[:, :, ::1] factors,
 ) noexcept:
     """Write inverse Cholesky factors of noise + Σ v Z Zᵀ, their columns times the `weight` (N, n) of rows, into
-    `factors`; false where a matrix is not positive definite."""
+    `factors`. Return whether all matrices are positive definite."""
     cdef double v, part, total, scale
     cdef Py_ssize_t a, b, c, k
     N, n, q = noise.shape[0], noise.shape[1], directions.shape[2]
@@ -399,13 +401,13 @@ def fold_sizes(
     const double[:, :] information, const double[:] right, const double[:, :] size, double[:, :, ::1] factor,
     double[:, ::1] value, double[::1] log_likelihood,
 ):
-    """Fold priors of parameters c ~ N(0, S²) into what is known of these: Cholesky factors of B = 1 + S Λ S.
+    """Fold L priors c ~ N(0, S²) of g parameters into their information, with B = 1 + S Λ S.
 
     information, right : Λ (g, g) and h (g,).
-    size : standard deviations S (L, g) of L priors.
-    factor (L, g, g) : of every prior the upper triangle R, B = Rᵀ R.
-    value (L, g) : S B⁻¹ S h.
-    log_likelihood (L,) : ½ hᵀ S B⁻¹ S h − ½ ln |B|; no number where B is not positive definite.
+    size (L, g) : standard deviations S.
+    factor (L, g, g) : output, upper Cholesky factors R of B = Rᵀ R.
+    value (L, g) : output, means S B⁻¹ S h of c.
+    log_likelihood (L,) : output, ½ hᵀ S B⁻¹ S h − ½ ln |B|; NaN where B is not positive definite.
     """
     with nogil:
         _fold_sizes(information, right, size, factor, value, log_likelihood)
@@ -428,7 +430,7 @@ cdef for_each_processor _fold_sizes(
         total, determinant = 0.0, 0.0
         for k in range(g):
             row = &factor[n, k, 0]
-            determinant += log(row[k])  # of what is less than zero it is no number
+            determinant += log(row[k])  # NaN if negative
             part = 1.0 / sqrt(row[k])
             for b in range(k, g):
                 row[b] *= part
@@ -456,7 +458,7 @@ def mean_covariance(
     const double[:, :, ::1] factor, const double[:, :] size, const double[:] weight, double[:, ::1] work,
     double[:, ::1] covariance,
 ):
-    """Σ w S B⁻¹ S (g, g) over the priors of `fold_sizes`, by their `weight` (L,); `work` (g, g) is memory."""
+    """Write Σ w S B⁻¹ S (g, g) over the priors of `fold_sizes`, of weights w (L,); `work` (g, g) is memory."""
     with nogil:
         _mean_covariance(factor, size, weight, work, covariance)
 

@@ -50,7 +50,11 @@ Falls = dict[str, tuple[Array, Array]]
 
 
 def chi_square_falls(solution: Solution) -> Falls:
-    """Return by how much chi-square falls without each block of rows."""
+    """Return by how much chi-square falls without each block of rows.
+
+    With its whitening W, whitened residual r of covariance C, p = Wᵀr and Q = WᵀCW, the fall is pᵀQ⁻¹p. Q⁻¹p is the
+    difference of the readings from their prediction by all others, of covariance Q⁻¹ with the noise N = (WᵀW)⁻¹. That
+    of a block of weight w is too large by 1/w, so that the covariance is Q⁻¹ − (1 − w) N."""
     out = Falls()
     for kind in (kind for kind in JUDGED if kind in solution.residuals):
         W, (residual, covariance) = solution.equations.whitening[kind], solution.residuals[kind]
@@ -58,20 +62,22 @@ def chi_square_falls(solution: Solution) -> Falls:
         if not W.size:
             continue
         fall, count = out[kind]
-        back = np.swapaxes(W, 1, 2)
-        pull, Q, N = (back @ residual[:, :, None])[:, :, 0], back @ covariance @ W, np.linalg.inv(back @ W)
-        size = np.sqrt(np.diagonal(N, axis1=1, axis2=2))  # N is the covariance, weights included
+        Wt = np.swapaxes(W, 1, 2)
+        Q, N = Wt @ covariance @ W, np.linalg.inv(Wt @ W)
+        size = np.sqrt(np.diagonal(N, axis1=1, axis2=2))
+        p = (Wt @ residual[:, :, None])[:, :, 0] * size  # from here on in units of the noise
         variance, directions = np.linalg.eigh(Q * size[:, :, None] * size[:, None, :])
-        free = variance > INFORMATIVE_VARIANCE
-        square = ((pull * size)[:, None] @ directions)[:, 0] ** 2
-        fall[:], count[:] = (square / np.where(free, variance, np.inf)).sum(axis=1), free.sum(axis=1)
+        informative = variance > INFORMATIVE_VARIANCE
+        square = (p[:, None] @ directions)[:, 0] ** 2
+        fall[:] = (square / np.where(informative, variance, np.inf)).sum(axis=1)
+        count[:] = informative.sum(axis=1)
         weight = solution.linearisation.noise.rows[kind].weight
         if len(o := np.flatnonzero(weight < 1.0)):
             valid = variance[o] > ROUNDING_VARIANCE * variance[o].max(axis=1, keepdims=True)
-            spread, along = 1.0 / np.where(valid, variance[o], 1.0), directions[o] * valid[:, None]
-            added = (1.0 - weight[o])[:, None, None] * N[o] / size[o][:, :, None] / size[o][:, None, :]
-            difference = spread * ((pull[o] * size[o])[:, None] @ along)[:, 0]
-            by_others = spread[:, :, None] * np.eye(spread.shape[1]) - np.swapaxes(along, 1, 2) @ added @ along
+            inverse, along = 1.0 / np.where(valid, variance[o], 1.0), directions[o] * valid[:, None]
+            excess = (1.0 - weight[o])[:, None, None] * N[o] / size[o][:, :, None] / size[o][:, None, :]
+            difference = inverse * (p[o][:, None] @ along)[:, 0]
+            by_others = inverse[:, :, None] * np.eye(inverse.shape[1]) - np.swapaxes(along, 1, 2) @ excess @ along
             fall[o] = (difference * np.linalg.solve(by_others, difference[:, :, None])[:, :, 0]).sum(axis=1)
             count[o] = valid.sum(axis=1)
     return out

@@ -12,11 +12,8 @@
 For a device that lies still while it warms up, ÷× 30 is ÷× 5, there is no scatter from one part of the rest to the
 next, and all sensors of a kind are alike.
 
-Components of variance may become small but no test excludes them. The prior of those of turns falls off as a power:
-with an exponential one, turns spoilt by a hundred times their noise are so unlikely that sound accelerometers are
-blamed. With λ = exp(max(p, 0)), half of the prior probability is that the usual size holds, and half that it is too
-small by a factor of the order k: 2 for a data sheet, 3 for a stated grade, 10 for a guessed grade if the next poorer
-grade has a larger size. A size is never reduced.
+k is 2 for a data sheet, 3 for a stated grade, 10 for a guessed grade if the next poorer grade has a larger size. The
+reasons for these priors are in docs/explanation/mathematics.md, section 8.
 
 Gradient. All hyperparameters but the correlation times are variances v of rows: of rests, of turns, of the steps of a
 process, or of priors. With D = ∂V/∂v, P the projection onto residuals and r = y − X x̂, for ln σ with σ² = v, (24) to
@@ -185,8 +182,9 @@ class Hyperparameters(tuple[Hyperparameter, ...]):
 
 
 def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Array:
-    """Return v rᵀPDPr and v tr PD (2, D) of the variance of every element of φ; for a correlation time their difference
-    is its derivative. Raises LinAlgError if residuals are not finite."""
+    """Return v rᵀPDPr and v tr PD (2, D) of the variance v of every element of φ.
+
+    For a correlation time they are the derivative of ℓ and 0. Raises LinAlgError if residuals are not finite."""
     problem, equations, point = solution.problem, solution.equations, solution.linearisation.point
     noise = equations.noise
     n, s, q = problem.sensors, noise.states, solution.local.shape[-1]
@@ -207,7 +205,7 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
     if s:
         work = np.empty((2, s, 2))
         arrays = equations.sensitivity, *solution.conditional_covariances
-        for part, root, shared in zip(problem.parts, solution.roots, solution.shared, strict=True):
+        for part, root, shared in zip(problem.session_spans, solution.roots, solution.shared, strict=True):
             sensitivity, here, with_next = (array[part.stations] for array in arrays)
             process = noise.state_rho[part.stations], noise.state_step[part.stations], noise.state_lapse[part.stations]
             along = times_root(sensitivity[:, -s:, :-1], root)
@@ -218,10 +216,8 @@ def quadratic_forms(hyperparameters: Hyperparameters, solution: Solution) -> Arr
         information = np.divide(1.0, size**2, out=np.zeros_like(size), where=size > 0.0)
         return np.stack([off**2 * information, 1.0 - variance * information])
 
-    off, off_local = (
-        point.values + solution.parameters[1:] - problem.prior_mean[1:],
-        point.local + solution.local,
-    )
+    off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
+    off_local = point.local + solution.local
     priors = prior_forms(off, (solution.roots[0, q + 1 :] ** 2).sum(axis=-1), problem.prior_u[1:])
     local_priors = prior_forms(off_local, (solution.roots[:, :q] ** 2).sum(axis=-1), problem.local_u)
 
@@ -313,10 +309,8 @@ def hyperparameters_of(problem: Problem, noise: NoiseModel, estimable: BoolArray
         add("process", f"{kind}_in_run", SCATTER_WORDS[kind][0], words, usual, within, members)
         add("time", f"{kind}_time", "s", f"correlation time of the {words}", CORRELATION_TIME, within, members)
         for c, sensor in enumerate(block.sensors if block.size > 1 and not undisturbed else ()):
-            name, words = (
-                f"{kind}.in_run.{sensor}",
-                f"scatter and in-run bias of {kind} {sensor} over those of the others",
-            )
+            name = f"{kind}.in_run.{sensor}"
+            words = f"scatter and in-run bias of {kind} {sensor} over those of the others"
             add("sensor", name, "1", words, 1.0, float(np.log(UNLIKE)), slice(first + c, first + c + 1))
         first += block.size
     if problem.moves:
@@ -380,7 +374,7 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
     noise, point, q = equations.noise, solution.linearisation.point, solution.local.shape[-1]
     M, d, width = equations.sensitivity.shape
     at_stations, square = np.zeros((M, d, D)), np.zeros((D, D))  # of XᵀZ and of ZᵀZ
-    of_sessions = np.zeros((len(problem.parts), width - 1, D))
+    of_sessions = np.zeros((len(problem.session_spans), width - 1, D))
 
     def add_square(Z: Array) -> None:
         square[:] += Z.reshape(-1, D).T @ Z.reshape(-1, D)
@@ -396,8 +390,8 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
         add_square(Z)
         products = np.swapaxes(rows[:, :, :-1], 1, 2) @ Z
         for e in range(STATIONS[kind]):
-            at_stations[problem.first[kind] + e] += products[:, e * d : (e + 1) * d]
-        for s, part in enumerate(problem.parts):
+            at_stations[problem.first_station[kind] + e] += products[:, e * d : (e + 1) * d]
+        for s, part in enumerate(problem.session_spans):
             of_sessions[s] += products[part.rows[kind], 1 - width :].sum(axis=0)
 
     # steps of states, and their initial values
@@ -408,7 +402,7 @@ def average_information(hyperparameters: Hyperparameters, solution: Solution) ->
         by_step = np.divide(Z, noise.state_step[:, :, None], out=np.zeros_like(Z), where=noise.follows[:, None, None])
         at_stations[:, d - states :] -= noise.state_rho[:, :, None] * by_step
         at_stations[1:, d - states :] += by_step[:-1]
-        at_stations[[part.stations.start for part in problem.parts], d - states :] += of_initial
+        at_stations[[part.stations.start for part in problem.session_spans], d - states :] += of_initial
 
     # priors
     off = point.values + solution.parameters[1:] - problem.prior_mean[1:]
@@ -429,7 +423,7 @@ def _variates_of_states(hyperparameters: Hyperparameters, solution: Solution) ->
     For sizes they are the whitened residuals. With S β the steps of the states, of variances V, and w = V⁻¹ S β, those
     for a correlation time, which changes the covariance S⁻¹ V S⁻ᵀ of β, are −V^{−½} (−∂S β − V S⁻ᵀ ∂Sᵀ w + ∂V w)."""
     noise, b = solution.equations.noise, solution.states
-    first = [part.stations.start for part in solution.problem.parts]
+    first = [part.stations.start for part in solution.problem.session_spans]
     follows, s, n = noise.follows[:, None], b.shape[1], solution.problem.sensors
     lapse = np.where(follows & np.isfinite(noise.state_lapse), noise.state_lapse, 0.0)
     rho, step = np.where(follows, noise.state_rho, 0.0), np.where(follows, noise.state_step, 1.0)

@@ -17,26 +17,18 @@ residuals, V their covariance, P the inverse of V with all unknowns eliminated, 
     1/(a + 1) = v̂ rᵀPDPDPr/rᵀPDPr,   ν = v̂ tr PD (a + 1),   κ = v̂ rᵀPDPr (a + 1)²
 
 which has the gradient and the average information of ℓ at the maximum. The likelihood in it is stretched about the
-maximum by the root of the ratio of the standard deviations of φ_i with other elements free and held. Of a slowly
-changing bias a session of length T observes only the variance about its mean,
-
-    σ_b² (1 − 2 (x − 1 + e^{−x})/x²),   x = T/τ
-
-and f along σ_b at a time τ is that with an equal ρ of this variance. For a correlation time the density is ℓ along the
-time through the maximum, at constant variance within the session, mixed with the prior. For a size of a group it is ℓ
-along it through the maximum; of λ = exp(max(p, 0)), half of the density is the prior of p < 0.
+maximum by the root of the ratio of the standard deviations of φ_i with other elements free and held. For the size of an
+in-run bias, v is its variance about the mean of the session at the correlation time of the point. For a correlation
+time, at constant variance within the session, and for the size of a group the density is ℓ along it through the
+maximum, mixed with the prior or, for p < 0, the prior alone.
 
 The points z are two fixed low-discrepancy sequences, each transformed to have exactly the mean and covariance of the
 normal distribution, so that a result is reproducible to the last digit. The weights w ∝ e^ℓ/q of the points of ψ, each
-summed over its sizes, are Pareto smoothed (Vehtari et al. 2024). With the step m and its covariance Ω at each draw
-
-    x̄ = Σ w m,    C = Σ w (Ω + m mᵀ) − x̄ x̄ᵀ
-
-and the coverage factor k of a parameter is the half width at 95.45 % of its mixture of Gaussians divided by its u. u is
-limited to half of that half width, which few far points do not affect. The sampling error is half the difference
-between the results of the two independent sequences, of a u or of a value divided by u, or, if larger, that of a half
-width by the scatter of its probabilities at the points (`Draws.coverage`): where few points decide the tails, both
-sequences may agree by chance.
+summed over its sizes, are Pareto smoothed (Vehtari et al. 2024). Mean and covariance are (33), coverage factors (34); u
+is limited to half of the half width at 95.45 %, which few far points do not affect. The sampling error is half the
+difference between the results of the two independent sequences, of a u or of a value divided by u, or, if larger, that
+of a half width by the scatter of its probabilities at the points (`Draws.coverage`): where few points decide the tails,
+both sequences may agree by chance.
 
 If that error exceeds LARGEST_ERROR, or few points are effective, the proposal misses a part of the posterior: another
 mode, or longer tails. Each sequence is then continued by adaptive multiple importance sampling (Cornuet et al. 2012).
@@ -158,27 +150,71 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
     by_source
         False to leave out the covariance by source of the posterior at the maximum.
     """
-    proposal = Proposal.about(fitted) if integrate and len(fitted.solution.parameters) <= MOST_PARAMETERS else None
-    if proposal is None or not (len(proposal.outer) or len(proposal.inner)):
-        solution, biases = fitted.solution, 1 + fitted.problem.biases
-        root = solution.roots[0, len(fitted.problem.usual_local_u) :][biases]
-        return Posterior(
-            step=solution.session_step,
-            covariance=solution.session_covariance,
-            sources=contributions(solution) if by_source else {},
-            degrees=np.full(len(solution.parameters) - 1, MOST_DEGREES),
-            process_step=solution.parameters[biases],
-            process_covariance=root @ root.T,
-            integral=Integral(points=1, effective=1.0, pareto=0.0),
-            hyperparameters=_summary(fitted, fitted.phi[None], np.ones(1)),
-        )
-    linear = slice(1, 1 + fitted.problem.instrument.linear_count)
+    if not integrate or len(fitted.solution.parameters) > MOST_PARAMETERS:
+        return _at_maximum(fitted, by_source)
+    proposal = Proposal.at(fitted)
+    if not (len(proposal.outer) or len(proposal.inner)):
+        return _at_maximum(fitted, by_source)
+    draws, error = _sampled(fitted, proposal)
+    phi, weight, parameters = (
+        draws.phi.reshape(-1, len(fitted.phi)),
+        draws.weight.ravel(),
+        len(fitted.solution.parameters),
+    )
+    typical = weight @ phi  # root-mean-square standard deviations and geometric-mean times
+    for i, h in enumerate(fitted.hyperparameters):
+        if h.kind != "time":
+            typical[i] = 0.5 * np.log(weight @ h.value(phi[:, i]) ** 2)
+    solution = solution_at(fitted.linearisation, fitted.hyperparameters, typical)
+    within, between = draws.moments
+    p = slice(parameters)
+    sources = scaled_to(contributions(solution), within[p, p]) | {"hyperparameters": between[p, p]}
+    covariance = np.sum(list(sources.values()), axis=0)
+    factor = draws.coverage[0][p]
+    shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
+    limit = np.outer(shorter, shorter)  # of u to half of the half width
+    return Posterior(
+        step=draws.mean[p],
+        covariance=covariance * limit,
+        sources={name: source * limit for name, source in sources.items()},
+        degrees=degrees_of(factor[1:]),
+        process_step=draws.mean[parameters:],
+        process_covariance=(within + between)[parameters:, parameters:],
+        integral=Integral(
+            points=len(draws.phi), effective=draws.effective, pareto=draws.smoothed_weights[1], u_error=error
+        ),
+        hyperparameters=_summary(fitted, phi, weight),
+    )
+
+
+def _at_maximum(fitted: Maximum, by_source: bool) -> Posterior:
+    """Return the posterior given the hyperparameters of the maximum."""
+    solution, biases = fitted.solution, 1 + fitted.problem.biases
+    root = solution.roots[0, len(fitted.problem.usual_local_u) :][biases]
+    return Posterior(
+        step=solution.session_step,
+        covariance=solution.session_covariance,
+        sources=contributions(solution) if by_source else {},
+        degrees=np.full(len(solution.parameters) - 1, MOST_DEGREES),
+        process_step=solution.parameters[biases],
+        process_covariance=root @ root.T,
+        integral=Integral(points=1, effective=1.0, pareto=0.0),
+        hyperparameters=_summary(fitted, fitted.phi[None], np.ones(1)),
+    )
+
+
+def _sampled(fitted: Maximum, proposal: Proposal) -> tuple[Draws, float]:
+    """Return the draws of both sequences, and their sampling error.
+
+    Rounds of points are added until the error is below LARGEST_ERROR with enough effective points, or until the
+    sequences end (`_rounds`)."""
+    parameters, linear = len(fitted.solution.parameters), slice(1, 1 + fitted.problem.instrument.linear_count)
     count = max((1 if len(proposal.inner) else 2) * FIRST_POINTS // 2, len(proposal.outer) + SPARE_POINTS)
     for first, second in zip(*(_rounds(fitted, proposal, count, sequence) for sequence in (0, 1)), strict=True):
         both, u = Draws.joined((first, second)), np.maximum(first.u + second.u, 1e-300)
         difference = np.maximum(np.abs(first.u - second.u), np.abs(first.mean - second.mean)) / u
-        error = float(np.max(difference[: len(fitted.solution.parameters)]))
-        if len(first.phi) == count:
+        error = float(np.max(difference[:parameters]))
+        if len(first.phi) == count:  # first round
             enough = min(first.effective, second.effective) > FIRST_EFFECTIVE
         else:
             enough = both.effective > ROUNDS_EFFECTIVE and both.smoothed_weights[1] < LARGEST_SHAPE
@@ -186,29 +222,7 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
             error = max(error, float(both.coverage[1][linear].max()))
             if error < LARGEST_ERROR:
                 break
-    phi, weight = both.phi.reshape(-1, len(fitted.phi)), both.weight.ravel()
-    typical = weight @ phi  # root-mean-square standard deviations and geometric-mean times
-    for i, h in enumerate(fitted.hyperparameters):
-        if h.kind != "time":
-            typical[i] = 0.5 * np.log(weight @ h.value(phi[:, i]) ** 2)
-    solution = solution_at(fitted.linearisation, fitted.hyperparameters, typical)
-    mean, (within, between), p = both.mean, both.moments, len(solution.parameters)
-    sources = scaled_to(contributions(solution), within[:p, :p]) | {"hyperparameters": between[:p, :p]}
-    covariance = np.sum(list(sources.values()), axis=0)
-    factor = both.coverage[0][:p]
-    shorter = np.where(factor > 0.0, np.minimum(0.5 * factor, 1.0), 1.0)
-    return Posterior(
-        step=mean[:p],
-        covariance=covariance * np.outer(shorter, shorter),
-        sources={name: source * np.outer(shorter, shorter) for name, source in sources.items()},
-        degrees=degrees_of(factor[1:]),
-        process_step=mean[p:],
-        process_covariance=(within + between)[p:, p:],
-        integral=Integral(
-            points=len(both.phi), effective=both.effective, pareto=both.smoothed_weights[1], u_error=error
-        ),
-        hyperparameters=_summary(fitted, phi, weight),
-    )
+    return both, error
 
 
 def is_poorly_sampled(integral: Integral) -> bool:
@@ -278,31 +292,35 @@ class Proposal:
     root: Array
 
     @staticmethod
-    def about(fitted: Maximum) -> Proposal:
+    def at(fitted: Maximum) -> Proposal:
         """Return the proposal from the derivatives of ℓ at a maximum."""
-        hyperparameters, solution, phi, B = fitted.hyperparameters, fitted.solution, fitted.phi, fitted.curvature
-        forms, densities = quadratic_forms(hyperparameters, solution), dict[int, Density]()
+        hyperparameters, phi, D = fitted.hyperparameters, fitted.phi, len(fitted.hyperparameters)
+        forms = quadratic_forms(hyperparameters, fitted.solution)
         sizes = [i for i, h in enumerate(hyperparameters) if h.kind == "group"]
-        if sizes:
-            densities |= _size_densities(fitted, sizes, forms[1])
-        inner, outer = list(densities), [i for i in range(len(hyperparameters)) if i not in sizes]
+        densities = _size_densities(fitted, sizes, forms[1]) if sizes else dict[int, Density]()
+        inner, outer = list(densities), [i for i in range(D) if i not in sizes]
+
+        # B by the standard deviations in the session in place of σ_b
         spread = partial(_spread_in_session, fitted.linearisation.noise)
-        in_run = dict[int, tuple[int, Callable[[Array], Density]]]()
-        substitution = np.eye(len(hyperparameters))  # of σ_b by the standard deviation in the session
-        times = _times_of(hyperparameters)
+        times, substitution = _times_of(hyperparameters), np.eye(D)
         for i, time in times.items():
             substitution[i, time] = (spread(phi[time] - 0.1) - spread(phi[time] + 0.1)) / 0.2
-        free = [i for i in (*outer, *inner) if not (hyperparameters[i].bounded and phi[i] <= 0.0)]
-        B = substitution.T @ B @ substitution
+        B = substitution.T @ fitted.curvature @ substitution
         densities |= _time_densities(fitted, spread, np.maximum(B.diagonal(), 1e-12) ** -0.5)
+
+        # correlations of B⁻¹, and by how much other elements widen each; p at its bound is independent
+        free = [i for i in (*outer, *inner) if not (hyperparameters[i].bounded and phi[i] <= 0.0)]
         B = B[np.ix_(free, free)]
         size = np.sqrt(np.maximum(B.diagonal(), 1e-12))
         value, vectors = np.linalg.eigh(B / np.outer(size, size))
         covariance = (vectors / np.maximum(value, 0.1)) @ vectors.T
         marginal = np.sqrt(covariance.diagonal())
-        correlations, stretch = np.eye(len(hyperparameters)), np.ones(len(hyperparameters))
+        correlations, stretch = np.eye(D), np.ones(D)
         correlations[np.ix_(free, free)] = covariance / np.outer(marginal, marginal)
         stretch[free] = np.sqrt(marginal)
+
+        # densities of variances
+        in_run = dict[int, tuple[int, Callable[[Array], Density]]]()
         for i in (element for element in outer if element not in densities):
             h = hyperparameters[i]
             density = partial(_variance_density, h, phi[i], tuple(forms[:, i]), fitted.information[i, i], stretch[i])
@@ -310,7 +328,8 @@ class Proposal:
                 in_run[i] = times[i], density
             else:
                 densities[i] = density()
-        factor = np.full(len(hyperparameters), CORRELATED)
+
+        factor = np.full(D, CORRELATED)
         for i in (element for element in outer if hyperparameters[element].bounded):
             factor[i] = 1.0 - np.interp(0.0, densities[i].phi, densities[i].cumulative)
         correlations *= np.outer(factor, factor)
@@ -328,7 +347,8 @@ class Proposal:
         """Return φ (K, D) with ψ at n (K, ·) and other elements as in `best`, and ln q (K,) up to a constant."""
         phi, log_q = np.tile(best, (len(normal), 1)), -0.5 * (normal**2).sum(axis=1)
         z = dict(zip(self.outer.tolist(), (normal @ self.root.T).T, strict=True))
-        for i in sorted(z, key=self.in_run.__contains__):  # sizes of in-run biases after their times
+        after_their_times = [i for i in z if i in self.in_run]  # sizes of in-run biases
+        for i in (*(i for i in z if i not in self.in_run), *after_their_times):
             if i in self.in_run:
                 time, density_at = self.in_run[i]
                 density = density_at(self.spread(phi[:, time]) - self.spread(best[time]))
@@ -356,11 +376,11 @@ def _times_of(hyperparameters: Hyperparameters) -> dict[int, int]:
 
 
 def _spread_in_session(noise: NoiseModel, log_time: Array) -> Array:
-    """Return ln of the standard deviation of an in-run bias about its mean over a session, relative to σ_b."""
+    """Return ln of the standard deviation of an in-run bias about its mean over a session of length T, relative to σ_b:
+    ½ ln(1 − 2 (x − 1 + e^{−x})/x²), x = T/τ."""
     interval = noise.interval[:, 0]
-    chains = np.isinf(interval).sum()
-    x = np.exp(-log_time) * interval[np.isfinite(interval)].sum() / max(chains, 1)
-    x = np.maximum(x, 1e-3)
+    total, chains = interval[np.isfinite(interval)].sum(), max(np.isinf(interval).sum(), 1)  # T is the mean over chains
+    x = np.maximum(np.exp(-log_time) * total / chains, 1e-3)
     return np.asarray(0.5 * np.log(1.0 - 2.0 * (x + np.expm1(-x)) / x**2))
 
 
@@ -502,37 +522,43 @@ def _in_parts(linearisation: Linearisation, phi: Array) -> Iterator[Array]:
 
 
 def _triangles(here: Linearisation, places: IntArray) -> Triangles:
-    """Return the triangles at a stack of components of variance and priors; parameters at `places` have none."""
-    problem, point, equations, p = here.problem, here.point, eliminate_rests(here), here.prior.shape[-1] - 1
-    exact, deviance = int(problem.prior_u[0, 0] == 0.0), rests_deviance(equations)  # 1 if gravity is exact
+    """Return the triangles at a stack of components of variance and priors; the parameters c at `places` have none.
+
+    With o all other parameters, and c̄ the step to the prior mean of c, the triangle of all sessions is
+
+        R_oo  R_oc | r_o
+              R_cc | r_c        Λ = R_ccᵀ R_cc,   h = R_ccᵀ (r_c − R_cc c̄)
+    """
+    problem, point, equations = here.problem, here.point, eliminate_rests(here)
+    K, p = len(equations.session_factors), here.prior.shape[-1] - 1
+    exact = int(problem.prior_u[0, 0] == 0.0)  # 1 if gravity is exact
     others = np.setdiff1d(np.arange(exact, p), places)
-    order, K, o = np.concatenate([others, places, [p]]), len(deviance), slice(len(others))
-    heads, R, inverse = list[list[Array]](), np.empty((K, len(order), len(order))), np.empty((K, o.stop, o.stop))
+    order, o, c = np.concatenate([others, places, [p]]), slice(len(others)), slice(len(others), -1)
+    heads, R = list[list[Array]](), np.empty((K, len(order), len(order)))
     for k, factors in enumerate(equations.session_factors):
         triangle, session_heads = fold_sessions(here.prior[k], factors, problem.local_u[k], here.local_prior[k])
         heads.append(session_heads)
         R[k] = triangle[exact:, order]
     permuted = np.flatnonzero(order != np.arange(exact, p + 1))
     if len(permuted):
-        R[:, permuted[0] :, permuted[0] :] = np.linalg.qr(R[:, permuted[0] :, permuted[0] :], mode="r")
-    for k in range(K):
-        inverse[k] = inverse_of(R[k, o, o])
-    g, mean = slice(o.stop, -1), (problem.prior_mean - np.append(point.gravity, point.values))[places]
-    G = R[:, g, g]
-    r = R[:, g, -1] - G @ mean
+        first = permuted[0]
+        R[:, first:, first:] = np.linalg.qr(R[:, first:, first:], mode="r")
+    R_cc, inverse = R[:, c, c], np.array([inverse_of(R_oo) for R_oo in R[:, o, o]])
+    mean = (problem.prior_mean - np.append(point.gravity, point.values))[places]  # c̄
+    r = R[:, c, -1] - R_cc @ mean
+
+    # step α + Γ c and covariance Ω of gravity and the parameters, and of the biases again
     alpha, gamma, omega = np.zeros((K, p)), np.zeros((K, p, len(places))), np.zeros((K, p, p))
     alpha[:, places], gamma[:, places, np.arange(len(places))] = mean, 1.0
-    alpha[:, others] = (inverse @ (R[:, o, -1] - R[:, o, g] @ mean)[:, :, None])[:, :, 0]
-    gamma[:, others] = -inverse @ R[:, o, g]
+    alpha[:, others] = (inverse @ (R[:, o, -1] - R[:, o, c] @ mean)[:, :, None])[:, :, 0]
+    gamma[:, others] = -inverse @ R[:, o, c]
     omega[:, others[:, None], others] = inverse @ np.swapaxes(inverse, 1, 2)
-    kept = np.setdiff1d(np.arange(1 + problem.instrument.linear_count, p), places)
-    sizes = np.log(problem.prior_u[:, kept]).sum(axis=1) + len(problem.parts) * np.log(problem.local_u).sum(axis=1)
-    pivots = np.log(np.abs(np.diagonal(R[:, o, o], axis1=1, axis2=2))).sum(axis=1)
-    pivots += [sum(np.log(np.abs(head.diagonal())).sum() for head in session_heads) for session_heads in heads]
     biases = 1 + problem.biases
     y = np.append(np.arange(p), biases)
     alpha, gamma, omega = alpha[:, y], gamma[:, y], omega[:, y[:, None], y]
-    if equations.wanders and len(problem.parts) == 1:
+
+    # biases as means over the session, b + D (step of all parameters) + noise
+    if equations.wanders and len(problem.session_spans) == 1:
         by_shared, by_noise = session_mean_bias(equations)
         pairs = (mean_by_common(derivatives, head) for derivatives, (head,) in zip(by_shared, heads, strict=True))
         by_common, by_local = map(np.array, zip(*pairs, strict=True))
@@ -543,10 +569,17 @@ def _triangles(here: Linearisation, places: IntArray) -> Triangles:
         omega[:, :, biases] += omega[:, :, :p] @ np.swapaxes(D, 1, 2)
         noise = np.concatenate([np.swapaxes(by_noise, 1, 2).reshape(K, len(biases), -1), by_local], axis=2)
         omega[:, biases[:, None], biases] += noise @ np.swapaxes(noise, 1, 2)
+
+    # −2 ln L (23), with the priors of groups and of the sessions
+    sized = np.setdiff1d(np.arange(1 + problem.instrument.linear_count, p), places)
+    sessions = len(problem.session_spans)
+    log_sizes = np.log(problem.prior_u[:, sized]).sum(axis=1) + sessions * np.log(problem.local_u).sum(axis=1)
+    pivots = np.log(np.abs(np.diagonal(R[:, o, o], axis1=1, axis2=2))).sum(axis=1)
+    pivots += [sum(np.log(np.abs(head.diagonal())).sum() for head in session_heads) for session_heads in heads]
     return Triangles(
-        information=np.swapaxes(G, 1, 2) @ G,
-        right=(r[:, None] @ G)[:, 0],
-        deviance=deviance + 2.0 * (pivots + sizes) + (r**2).sum(axis=1) + R[:, -1, -1] ** 2,
+        information=np.swapaxes(R_cc, 1, 2) @ R_cc,
+        right=(r[:, None] @ R_cc)[:, 0],
+        deviance=rests_deviance(equations) + 2.0 * (pivots + log_sizes) + (r**2).sum(axis=1) + R[:, -1, -1] ** 2,
         alpha=alpha,
         gamma=gamma,
         omega=omega,
@@ -568,7 +601,7 @@ def _size_densities(fitted: Maximum, sizes: list[int], learned: Array) -> dict[i
     hyperparameters, phi = fitted.hyperparameters, fitted.phi
     members, element = members_of(fitted, np.array(sizes))
     triangle, out = triangles(fitted.linearisation, hyperparameters, phi[None], members), dict[int, Density]()
-    usual = fitted.usual_problem.usual_u[1 + members]
+    usual = fitted.problem.usual_u[1 + members]
     S = usual * np.exp(np.maximum(phi[element], 0.0))
     at_maximum = Folded.of(triangle.information[0], triangle.right[0], S[None])
     covariance, value = at_maximum.covariance(np.ones(1)), at_maximum.values[0]
@@ -699,7 +732,7 @@ def _draw(fitted: Maximum, proposal: Proposal, normal: Array, sequence: int) -> 
     hyperparameters, (members, element) = fitted.hyperparameters, members_of(fitted, proposal.inner)
     phi, log_q = proposal.points(fitted.phi, normal)
     phi, log_q_sizes = proposal.with_sizes(phi, sequence)
-    sizes = fitted.usual_problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
+    sizes = fitted.problem.usual_u[1 + members] * np.exp(np.maximum(phi[:, :, element], 0.0))
     at = triangles(fitted.linearisation, hyperparameters, phi[:, 0], members)
     log_q = log_q[:, None] + log_q_sizes
     log_weight = hyperparameters.log_prior(phi)[0].sum(axis=-1) - log_q - 0.5 * at.deviance[:, None]

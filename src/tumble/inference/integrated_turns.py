@@ -180,21 +180,6 @@ class IntegratedTurns:
         phi = -(self.paths[:, :3] * np.expand_dims(offset, -3)).sum(axis=(2, 3))
         return np.asarray(rotation_matrix(phi) @ self.C)
 
-    @property
-    def by_phi(self) -> Array:
-        """P (K, 3, n, 15) of the gyros."""
-        return self.paths[:, :3, -self.to_rate.shape[1] :]
-
-    @property
-    def by_force(self) -> Array:
-        """Q (K, 3, n, 15) of the accelerometers."""
-        return self.paths[:, 3:, : -self.to_rate.shape[1]]
-
-    @property
-    def by_velocity(self) -> Array:
-        """Q (K, 3, n, 15) of the gyros."""
-        return self.paths[:, 3:, -self.to_rate.shape[1] :]
-
     def rows(self, instrument: Instrument, values: Array, model: tuple[Array, Array]) -> Array:
         """Return [−∂φ/∂θ | φ] above [−∂V/∂θ | V] (K, 6, m + 1) at `values` (m,), to first order.
 
@@ -227,7 +212,7 @@ class IntegratedTurns:
     @cached_property
     def _lengths(self) -> Array:
         """Lengths (K, n, 15) of the derivatives of φ by the coefficients of the gyros."""
-        return np.asarray(np.sqrt((self.by_phi**2).sum(axis=1)))
+        return np.asarray(np.sqrt((self.paths[:, :3, -self.to_rate.shape[1] :] ** 2).sum(axis=1)))
 
     def second_order(self, change: Array) -> tuple[Array, Array]:
         """Return approximate second-order errors (K,) of rotation, rad, and velocity, m/s, for a `change` (n, 15) or

@@ -87,19 +87,20 @@ def joint(
         fitted = without_outliers(fitted)
     if components is not None:
         fitted = replace(fitted, hyperparameters=Hyperparameters(()), solution=solve(fitted.linearisation, components))
-    found = posterior(fitted, integrate=intervals and not quick and components is None, by_source=not quick)
-    magnetometer = magnetometer_estimate(fitted, found.step)
+    marginal = posterior(fitted, integrate=intervals and not quick and components is None, by_source=not quick)
+    magnetometer = magnetometer_estimate(fitted, marginal.step)
     if magnetometer is not None and magnetometer.refused:  # estimate all other parameters without it
         estimate = joint(
             observations.without_magnetometer(), prior=prior, instrument=instrument, intervals=intervals, quick=quick,
             components=components,
         )  # fmt: skip
         return replace(estimate, magnetometer=magnetometer)
-    estimate = _estimate(fitted, found, (first, *fitted.increments[:-1], found.step[1:]), by_lag)
+    estimate = _estimate(fitted, marginal, (first, *fitted.increments[:-1], marginal.step[1:]), by_lag)
     return replace(estimate, magnetometer=magnetometer or refused or None)
 
 
-def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], by_lag: Array) -> Estimate:
+def _estimate(fitted: Maximum, marginal: Posterior, increments: tuple[Array, ...], by_lag: Array) -> Estimate:
+    """Return the estimate by the posterior of the parameters, with the covariance (m, m) added by the lags."""
     problem, linearisation, best = fitted.problem, fitted.linearisation, fitted.solution
     instrument = problem.instrument
     distances = sigmas(best)
@@ -107,16 +108,16 @@ def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], 
     omitted, nothing = left_out(linearisation.noise.weights), np.zeros(len(gyro_sigmas), dtype=bool)
     without_scatter = chi_squares(solve(linearisation.with_priors(problem), NO_COMPONENTS))
     inertial = [fit for name, fit in without_scatter.items() if name != MAGNETOMETER]
-    chi_square, degrees = (sum(getattr(fit, name) for fit in inertial) for name in ("chi_square", "degrees"))
+    chi_square, degrees = sum(fit.chi_square for fit in inertial), sum(fit.degrees for fit in inertial)
     total = Fit(chi_square=chi_square, degrees=degrees, scatter=0.0, unit="")
     observations, linear = problem.observations, instrument.linear_count
-    values = fitted.linearisation.point.values + found.step[1:]
+    values = linearisation.point.values + marginal.step[1:]
     common = {**common_covariances(observations, instrument), "lag": by_lag}
-    budget = _budget(fitted, found, common) if found.sources else None
+    budget = _budget(fitted, marginal, common) if marginal.sources else None
     common_covariance = np.sum(list(common.values()), axis=0)
-    covariance = found.covariance[1:, 1:] + common_covariance
+    covariance = marginal.covariance[1:, 1:] + common_covariance
     # without the errors of time base and rounding, which no further rest or turn would reduce
-    reducible = (found.covariance[1:, 1:] + by_lag)[:linear, :linear]
+    reducible = (marginal.covariance[1:, 1:] + by_lag)[:linear, :linear]
     spread = problem.spread[:linear]
     observable = np.ones(len(values), dtype=bool)
     observable[:linear] = np.sqrt(np.diag(reducible)) < spread / DETERMINED
@@ -127,7 +128,7 @@ def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], 
     readings = at_reference(linearisation) if "temperature" in problem.variables else observations.rests.accel
     force = specific_force(instrument, values, readings)
     variance, combinations = np.linalg.eigh(reducible / np.outer(spread, spread))
-    of_sessions = None
+    of_sessions = None  # parameters of each of several sessions
     if (local := problem.local) is not None:
         local_variance = np.diagonal(best.session_covariances, axis1=1, axis2=2)[:, : len(problem.local_u)]
         of_sessions = OwnEstimate(
@@ -156,32 +157,32 @@ def _estimate(fitted: Maximum, found: Posterior, increments: tuple[Array, ...], 
         converged=fitted.converged,
         instrument=instrument,
         groups=findings,
-        degrees=found.degrees,
+        degrees=marginal.degrees,
         prediction=prediction(
             instrument,
             values,
             covariance,
             gravity=observations.site.gravity,
-            rate=usual_rate(fitted.linearisation.about),
+            rate=usual_rate(fitted.linearisation.integrated),
         ),
         linearised=linearisation.with_priors(problem).with_components(fitted.components),
         own=of_sessions,
-        hyperparameters=tuple(_hyperparameters(fitted, found)),
-        integral=found.integral,
-        process_bias=tuple(_process_bias(fitted, found, common_covariance)),
+        hyperparameters=tuple(_hyperparameters(fitted, marginal)),
+        integral=marginal.integral,
+        process_bias=tuple(_process_bias(fitted, marginal, common_covariance)),
         budget=budget,
         left_out=Omitted(accel=omitted["accel"], gyro=omitted.get("gyro", nothing), turn=omitted["turn"]),
     )
 
 
-def _hyperparameters(fitted: Maximum, found: Posterior) -> Iterator[HyperparameterEstimate]:
-    for h, (value, low, high) in zip(fitted.hyperparameters, found.hyperparameters.tolist(), strict=True):
+def _hyperparameters(fitted: Maximum, marginal: Posterior) -> Iterator[HyperparameterEstimate]:
+    for h, (value, low, high) in zip(fitted.hyperparameters, marginal.hyperparameters.tolist(), strict=True):
         yield HyperparameterEstimate(
             name=h.name, unit=h.unit, words=h.words, value=value, low=low, high=high, usual=h.usual
         )
 
 
-def _budget(fitted: Maximum, found: Posterior, common: Mapping[str, Array]) -> UncertaintyBudget:
+def _budget(fitted: Maximum, marginal: Posterior, common: Mapping[str, Array]) -> UncertaintyBudget:
     """Return the covariance by source, with the standard uncertainty of each source that is a single quantity.
 
     A standard deviation with relative uncertainty σ counts as 1/(2 σ²) degrees of freedom (GUM E.4.3, G.4.2); σ is half
@@ -196,7 +197,7 @@ def _budget(fitted: Maximum, found: Posterior, common: Mapping[str, Array]) -> U
     for name, covariance, unit in zip(names, covariances, units, strict=False):
         if covariance.size:
             sizes[name] = typical_noise(covariance), unit, None
-    for h in _hyperparameters(fitted, found):
+    for h in _hyperparameters(fitted, marginal):
         name = f"{h.name}.scatter" if h.name in SCATTER else h.name.replace("_in_run", ".in_run")
         relative = 0.5 * np.log(h.high / h.low)
         sizes[name] = h.value, h.unit, float(0.5 / relative**2) if relative > 0.0 else None
@@ -204,7 +205,7 @@ def _budget(fitted: Maximum, found: Posterior, common: Mapping[str, Array]) -> U
     sizes |= {"gravity": (site.gravity_u, "m/s^2", None), "clock": (clock, "1", None)}
     for name, members in instrument.members.items():
         sizes[f"prior.{name}"] = float(problem.prior_u[1:][members][0]), instrument.units[members.start], None
-    by_source = {name: covariance[1:, 1:] for name, covariance in found.sources.items()} | dict(common)
+    by_source = {name: covariance[1:, 1:] for name, covariance in marginal.sources.items()} | dict(common)
     by_source = {name: covariance for name, covariance in by_source.items() if covariance.any()}
     return UncertaintyBudget(
         sources=tuple(source(name, *sizes.get(name, ())) for name in by_source),
@@ -212,22 +213,22 @@ def _budget(fitted: Maximum, found: Posterior, common: Mapping[str, Array]) -> U
     )
 
 
-def _process_bias(fitted: Maximum, found: Posterior, common: Array) -> Iterator[ProcessBias]:
+def _process_bias(fitted: Maximum, marginal: Posterior, common: Array) -> Iterator[ProcessBias]:
     problem, biases, components = fitted.problem, fitted.problem.biases, fitted.components
     accelerometers = problem.instrument.accel.size
     sigma, _ = components.of_states(accelerometers, problem.sensors - accelerometers)
-    variances = np.diag(found.process_covariance) + np.diag(common)[biases]
-    values = fitted.linearisation.point.values[biases] + found.process_step
+    variances = np.diag(marginal.process_covariance) + np.diag(common)[biases]
+    values = fitted.linearisation.point.values[biases] + marginal.process_step
     for i, value, variance, in_run in zip(biases.tolist(), values.tolist(), variances.tolist(), sigma, strict=True):
         u, next_u = np.sqrt(variance), np.sqrt(variance + in_run**2)
         yield ProcessBias(name=problem.instrument.names[i], value=value, u=float(u), next_u=float(next_u))
 
 
-def usual_rate(about: IntegratedTurns | None) -> float | None:
+def usual_rate(integrated: IntegratedTurns | None) -> float | None:
     """Return the root mean square rate of the turns, rad/s; None without turns."""
-    if about is None or not len(about.moments):
+    if integrated is None or not len(integrated.moments):
         return None
-    moments = about.moments
+    moments = integrated.moments
     return float(np.sqrt(moments.body_rates[:, [0, 3, 5]].sum() / moments.T.sum()))
 
 

@@ -19,22 +19,16 @@ kind support them, or those of the other. Where the data of the other kind say n
 A lag matters only if something changes with temperature. If nothing does, every lag fits, and large ones best: the
 sensors have then hardly warmed up, and parameters at the temperature of the thermometer are extrapolated far from the
 observations. Hence there are two hypotheses of equal prior probability: the temperature coefficients c of a kind of
-sensor have usual sizes, c ~ N(0, S), and λ has the prior (1); or they are zero. With the solution θ(λ) of covariance
-C(λ), the odds of the first at a lag are the ratio of the prior to the posterior density at c = 0 (Savage–Dickey),
-
-    O(λ) = (|C_c|/|S|)^½ exp(½ cᵀ C_c⁻¹ c),    P = ∫ p(λ) O(λ) dλ / (1 + ∫ p(λ) O(λ) dλ)
-
-and with λ̄ = P E λ, θ₀ and C₀ of the second hypothesis, and E the mean over the lags of the first,
-
-    C = (1 − P) [C₀ + (θ₀ − θ(λ̄))(θ₀ − θ(λ̄))ᵀ] + P E[C(λ) + (θ(λ) − θ(λ̄))(θ(λ) − θ(λ̄))ᵀ]
-
-but not less than C(λ̄), docs/explanation/mathematics.md (35).
+sensor have usual sizes, c ~ N(0, S), and λ has the prior (1); or they are zero. The odds O(λ) of the first at a lag are
+the ratio of the prior to the posterior density at c = 0 (Savage–Dickey), and its probability P that with the mean of
+O over the prior; docs/explanation/mathematics.md (35) has λ̄ and the covariance of this mixture.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -43,7 +37,7 @@ from tumble.inference.hyperparameters import solution_at
 from tumble.inference.integral import coverage_factors
 from tumble.inference.linearisation import Linearisation
 from tumble.inference.maximum import Maximum, maximise, maximise_from_starts, maximise_phi
-from tumble.inference.problem import Problem
+from tumble.inference.problem import Point, Problem
 from tumble.sensors.parameters import THERMAL, sensor_kind, variable_of
 from tumble.units import Array
 
@@ -55,8 +49,20 @@ RESOLVED, HALVINGS = 0.2, 10
 LAG_ROUNDS = 3  # largest number of times the lags held are changed
 
 
+class LagGrid(NamedTuple):
+    """Posterior of the lag of one kind of sensor at lags (L,), s: their probabilities (L,), and covariances and values
+    of the parameters at each (L, m, m + 1)."""
+
+    lags: Array
+    probability: Array
+    solutions: Array
+
+
 def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, Array]:
     """Find the maximum of ℓ(φ), with lags held at their means if there are any.
+
+    The most likely lags are found first: the posterior of each lag is computed on a grid with the other held, and the
+    maximum again with the most likely lags, until they no longer move or ℓ does not rise, or after LAG_ROUNDS rounds.
 
     Parameters
     ----------
@@ -72,88 +78,108 @@ def maximum_with_lags(start: Linearisation, iterations: int) -> tuple[Maximum, A
     spread : (m, m)
         Covariance of the parameters added by the uncertainty of the lags.
     """
-    lags, spread = start.problem.lags, np.zeros((len(start.problem.instrument.names),) * 2)
-    if not lags:
-        return maximise_from_starts(start, iterations), spread
-    usual = {kind: start.problem.observations.usual[f"{kind}.lag"] for kind in lags}
-
-    def held(values: Array, near: Linearisation) -> Linearisation:
-        """Return the linearisation with lags held at those among values (m,)."""
-        return near.again(near.problem.with_lags(values), replace(near.point, values=values))
-
-    def again(values: Array) -> Maximum:
-        return maximise(held(values, replace(fitted.linearisation, point=fitted.point)), fitted.phi, iterations)
-
-    def penalty(kind: str, lag: Array) -> Array:
-        """Return −2 ln of the prior of a lag, Eq. (1)."""
-        return np.asarray(-2.0 * np.log(prior_density(0.5 * lag / usual[kind])))
-
-    def solutions(kind: str) -> Callable[[Array], tuple[Array, Array]]:
-        """Return a function of lags (L,) that returns −2 ln of their posterior, and the solutions (L, m, m + 1) there:
-        covariances and values of the parameters. φ starts from an interpolation between the lags computed before."""
-        values, i = fitted.point.values, lags[kind]
-        here = held(values, replace(fitted.linearisation, point=fitted.point))
-        phi_at = {float(values[i]): fitted.phi}
-
-        def at(grid: Array) -> tuple[Array, Array]:
-            deviance, out = penalty(kind, grid), np.empty((len(grid), len(values), len(values) + 1))
-            for k in np.argsort(np.abs(grid - values[i])):
-                lag, at_lag = float(grid[k]), values.copy()
-                at_lag[i] = lag
-                there = here.at_lags(here.problem.with_lags(at_lag), at_lag)
-                known_lags, known_phi = zip(*sorted(phi_at.items()), strict=True)
-                phi = np.array([np.interp(lag, known_lags, element) for element in np.transpose(known_phi)])
-                solution = solution_at(there, fitted.hyperparameters, phi)
-                solution, *_ = maximise_phi(fitted.hyperparameters, solution)
-                phi_at[lag] = solution.phi
-                deviance[k] -= 2.0 * solution.log_posterior
-                out[k, :, :-1] = solution.session_covariance[1:, 1:]
-                out[k, :, -1] = values + solution.session_step[1:]
-            return deviance, out
-
-        return at
-
-    def log_posterior(fit: Maximum) -> float:
-        """Return ln of the posterior of φ and the lags."""
-        penalties = [float(penalty(kind, fit.point.values[i])) for kind, i in lags.items()]
-        return float(fit.solution.log_posterior) - 0.5 * sum(penalties)
-
-    fitted = maximise_from_starts(held(start.point.values, start), iterations)
+    m, lag_places = len(start.problem.instrument.names), start.problem.lag_places
+    if not lag_places:
+        return maximise_from_starts(start, iterations), np.zeros((m, m))
+    fitted = maximise_from_starts(with_held_lags(start, start.point, start.point.values), iterations)
     for rounds_left in reversed(range(LAG_ROUNDS)):
-        at_lags = {kind: solutions(kind) for kind in lags}
-        grids = {kind: resolved(at_lags[kind], LAGS) for kind in lags}
+        at_lags = {kind: SolutionsAtLags(fitted, kind) for kind in lag_places}
+        grids = {kind: resolved(at_lags[kind], LAGS) for kind in lag_places}
         values, moved = fitted.point.values.copy(), False
-        for kind, (grid, weight, _) in grids.items():
-            values[lags[kind]] = grid[np.argmax(weight / widths(grid))]
-            u = np.sqrt(weight @ (grid - weight @ grid) ** 2)
-            moved |= abs(values[lags[kind]] - fitted.point.values[lags[kind]]) > NEAR * u
+        for kind, (lags, probability, _) in grids.items():
+            place = lag_places[kind]
+            values[place] = lags[np.argmax(probability / widths(lags))]
+            u = np.sqrt(probability @ (lags - probability @ lags) ** 2)
+            moved |= abs(values[place] - fitted.point.values[place]) > NEAR * u
         if not (rounds_left and moved):
             break
-        moved_fit = again(values)
-        if log_posterior(moved_fit) <= log_posterior(fitted):
+        at_most_likely = _maximum_at(fitted, values, iterations)
+        if _log_posterior(at_most_likely) <= _log_posterior(fitted):
             break
-        fitted = moved_fit
-    means, prior_u = fitted.point.values.copy(), fitted.problem.prior_u[1:]
-    others = np.delete(np.arange(len(means)), list(lags.values()))
-    log_odds, alone = dict[str, list[float]](), dict[str, tuple[Array, Array, float]]()
-    for kind, (grid, weight, at_grid) in grids.items():
-        thermal, x = coefficients(fitted.problem, kind), 0.5 * grid / usual[kind]
-        log_odds[kind] = [log_odds_of_change(found[thermal][:, [*thermal, -1]], prior_u[thermal]) for found in at_grid]
-        alone[kind] = x, weight, probability_of_change(log_odds[kind], prior_density(x) * widths(grid))
-    for kind, i in lags.items():
-        (grid, weight, at_grid), thermal, x = grids[kind], coefficients(fitted.problem, kind), alone[kind][0]
-        prior = prior_density(x, *(found for other, found in alone.items() if other != kind))
-        weight = weight * prior / prior_density(x)
-        weight /= weight.sum()
-        change = probability_of_change(log_odds[kind], prior * widths(grid))
-        means[i] = change * float(weight @ grid)
-        spread[i, i] = weight @ (grid - means[i]) ** 2
-        (at_mean,) = at_lags[kind](means[[i]])[1]
-        mixture = np.vstack([without(at_mean, thermal)[None], at_grid])[:, others][:, :, [*others, -1]]
-        probability = np.append(1.0 - change, change * weight)
-        added = added_covariance(mixture, at_mean[others][:, [*others, -1]], probability)
-        spread[np.ix_(others, others)] += added
-    return again(means), spread
+        fitted = at_most_likely
+    values, spread = _averaged(fitted, at_lags, grids)
+    return _maximum_at(fitted, values, iterations), spread
+
+
+def with_held_lags(linearisation: Linearisation, point: Point, values: Array) -> Linearisation:
+    """Linearise again at the parameters `values` (m,) and the attitudes of a point, with the lags held there."""
+    return linearisation.again(linearisation.problem.with_held_lags(values), replace(point, values=values))
+
+
+def _maximum_at(fitted: Maximum, values: Array, iterations: int) -> Maximum:
+    """Return the maximum with the lags held at those among the parameters `values` (m,)."""
+    return maximise(with_held_lags(fitted.linearisation, fitted.point, values), fitted.phi, iterations)
+
+
+def _prior_deviance(problem: Problem, kind: str, lags: Array) -> Array:
+    """Return −2 ln of the prior of lags of a kind of sensor, Eq. (1)."""
+    return np.asarray(-2.0 * np.log(prior_density(0.5 * lags / problem.observations.usual[f"{kind}.lag"])))
+
+
+def _log_posterior(fitted: Maximum) -> float:
+    """Return ln of the posterior of φ and the lags."""
+    problem, values = fitted.problem, fitted.point.values
+    deviances = [float(_prior_deviance(problem, kind, values[i])) for kind, i in problem.lag_places.items()]
+    return float(fitted.solution.log_posterior) - 0.5 * sum(deviances)
+
+
+class SolutionsAtLags:
+    """Solutions with another lag of one kind of sensor, φ being maximised at each.
+
+    φ starts from an interpolation between the lags computed before."""
+
+    def __init__(self, fitted: Maximum, kind: str) -> None:
+        self.fitted, self.kind, self.place = fitted, kind, fitted.problem.lag_places[kind]
+        self.held = with_held_lags(fitted.linearisation, fitted.point, fitted.point.values)
+        self.phi_at = {float(fitted.point.values[self.place]): fitted.phi}
+
+    def __call__(self, lags: Array) -> tuple[Array, Array]:
+        """Return −2 ln of the posterior of lags (L,), s, and the solutions of `LagGrid` there."""
+        values, hyperparameters = self.fitted.point.values, self.fitted.hyperparameters
+        deviance = _prior_deviance(self.fitted.problem, self.kind, lags)
+        solutions = np.empty((len(lags), len(values), len(values) + 1))
+        for k in np.argsort(np.abs(lags - values[self.place])):
+            lag, with_lag = float(lags[k]), values.copy()
+            with_lag[self.place] = lag
+            there = self.held.with_lags(self.held.problem.with_held_lags(with_lag), with_lag)
+            known_lags, known_phi = zip(*sorted(self.phi_at.items()), strict=True)
+            phi = np.array([np.interp(lag, known_lags, element) for element in np.transpose(known_phi)])
+            solution, *_ = maximise_phi(hyperparameters, solution_at(there, hyperparameters, phi))
+            self.phi_at[lag] = solution.phi
+            deviance[k] -= 2.0 * solution.log_posterior
+            solutions[k, :, :-1] = solution.session_covariance[1:, 1:]
+            solutions[k, :, -1] = values + solution.session_step[1:]
+        return deviance, solutions
+
+
+def _averaged(
+    fitted: Maximum, at_lags: Mapping[str, SolutionsAtLags], grids: Mapping[str, LagGrid]
+) -> tuple[Array, Array]:
+    """Return the parameters (m,) with the mean lags λ̄, and the covariance (m, m) that the lags add, (35)."""
+    problem, values = fitted.problem, fitted.point.values.copy()
+    spread, prior_u = np.zeros((len(values), len(values))), problem.prior_u[1:]
+    others = np.delete(np.arange(len(values)), list(problem.lag_places.values()))
+    log_odds, marginals = dict[str, list[float]](), dict[str, tuple[Array, Array, float]]()
+    for kind, (lags, probability, solutions) in grids.items():
+        thermal, x = coefficients(problem, kind), 0.5 * lags / problem.observations.usual[f"{kind}.lag"]
+        log_odds[kind] = [log_odds_of_change(each[thermal][:, [*thermal, -1]], prior_u[thermal]) for each in solutions]
+        change = probability_of_change(log_odds[kind], prior_density(x) * widths(lags))
+        marginals[kind] = x, probability, change
+    for kind, place in problem.lag_places.items():
+        (lags, probability, solutions), (x, _, _) = grids[kind], marginals[kind]
+        # the prior of this lag given the posterior of the lag of the other kind
+        prior = prior_density(x, *(marginal for other, marginal in marginals.items() if other != kind))
+        probability = probability * prior / prior_density(x)
+        probability /= probability.sum()
+        change = probability_of_change(log_odds[kind], prior * widths(lags))
+        values[place] = change * float(probability @ lags)
+        spread[place, place] = probability @ (lags - values[place]) ** 2
+        (at_mean,) = at_lags[kind](values[[place]])[1]
+        unchanged = without(at_mean, coefficients(problem, kind))
+        mixture = np.vstack([unchanged[None], solutions])[:, others][:, :, [*others, -1]]
+        weight = np.append(1.0 - change, change * probability)
+        spread[np.ix_(others, others)] += added_covariance(mixture, at_mean[others][:, [*others, -1]], weight)
+    return values, spread
 
 
 def without(solution: Array, places: list[int]) -> Array:
@@ -215,21 +241,20 @@ def widths(lags: Array) -> Array:
     return np.asarray(0.5 * (np.append(step, 0.0) + np.append(0.0, step)))
 
 
-def resolved(at_lags: Callable[[Array], tuple[Array, Array]], lags: Array) -> tuple[Array, Array, Array]:
-    """Refine a grid of lags until none has a probability above RESOLVED, or HALVINGS times.
+def resolved(at_lags: Callable[[Array], tuple[Array, Array]], lags: Array) -> LagGrid:
+    """Refine a grid of ascending lags (L,) until none has a probability above RESOLVED, or HALVINGS times.
 
-    `at_lags` returns −2 ln of the likelihood of lags (L,) and the solutions there (L, …). Returns the lags in ascending
-    order, their probabilities, and their solutions."""
+    `at_lags` returns −2 ln of the posterior of lags, and the solutions there (L, …)."""
     deviance, solutions = at_lags(lags)
-    for halved in range(HALVINGS + 1):
-        weight = np.exp(-0.5 * (deviance - deviance.min())) * widths(lags)
-        weight /= weight.sum()
-        if weight.max() < RESOLVED or halved == HALVINGS:
+    for halvings_left in reversed(range(HALVINGS + 1)):
+        probability = np.exp(-0.5 * (deviance - deviance.min())) * widths(lags)
+        probability /= probability.sum()
+        if probability.max() < RESOLVED or not halvings_left:
             break
-        heavy = weight > 0.1 * RESOLVED
-        between = np.flatnonzero(heavy[1:] | heavy[:-1])
+        likely = probability > 0.1 * RESOLVED
+        between = np.flatnonzero(likely[1:] | likely[:-1])
         middle = 0.5 * (lags[between] + lags[between + 1])
         middle_deviance, middle_solutions = at_lags(middle)
         lags, deviance = np.insert(lags, between + 1, middle), np.insert(deviance, between + 1, middle_deviance)
         solutions = np.insert(solutions, between + 1, middle_solutions, axis=0)
-    return lags, weight, solutions
+    return LagGrid(lags, probability, solutions)

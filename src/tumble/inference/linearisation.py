@@ -39,8 +39,8 @@ class Linearisation:
 
     Parameters
     ----------
-    problem, point, about
-        The problem, the point, and the turns integrated about parameters near it, None without turns.
+    problem, point, integrated
+        The problem, the point, and the turns, integrated at parameters near the point; None without turns.
     rows : (K, r, ·)
         Rows by kind: coefficients of the unknowns of their stations and of the shared unknowns, and the residual,
         observed less predicted. Columns are those of `Problem.zero_rows`.
@@ -59,7 +59,7 @@ class Linearisation:
 
     problem: Problem
     point: Point
-    about: IntegratedTurns | None
+    integrated: IntegratedTurns | None
     rows: Mapping[str, Array]
     growing: Array | None
     prior: Array
@@ -81,29 +81,24 @@ class Linearisation:
     @property
     def bias(self) -> Array:
         """Coefficients (K, t, n) of the turns for a bias during the turn, of accelerometers and then of gyros."""
-        columns, turn, d = self.problem.bias_columns, self.rows["turn"], self.problem.of_station
+        columns, turn, d = self.problem.bias_columns, self.rows["turn"], self.problem.station_columns
         return np.asarray(turn[:, :, columns] + turn[:, :, columns.start + d : columns.stop + d])
-
-    @property
-    def gained(self) -> Array:
-        """Velocity (K, 3), m/s, that gravity gives the turns, in the body at their start."""
-        return gained_in_turns(self.problem, self.point)
 
     @property
     def rotations(self) -> Array:
         """Rotations (K, 3, 3) of the turns, body at the end → body at the start, with the parameters of the point."""
-        about, changes = self.about, self.problem.coefficient_changes(self.point)
-        assert about is not None
-        return about.rotations(self.problem.instrument, self.point.values, 0.0 if changes is None else changes)
+        integrated, changes = self.integrated, self.problem.coefficient_changes(self.point)
+        assert integrated is not None
+        return integrated.rotations(self.problem.instrument, self.point.values, 0.0 if changes is None else changes)
 
     def again(self, problem: Problem, point: Point) -> Linearisation:
-        """Linearise a problem at a point about the same turns, with the same weights of the rows."""
-        there = linearise(problem, point, self.about)
+        """Linearise a problem at a point with the same integrated turns and the same weights of the rows."""
+        there = linearise(problem, point, self.integrated)
         return replace(there, noise=there.noise.weighted(self.noise.weights))
 
     def with_components(self, components: VarianceComponents) -> Linearisation:
         """Return the linearisation with other components of variance."""
-        return replace(self, noise=self.noise.at(components))
+        return replace(self, noise=replace(self.noise, components=components))
 
     def with_priors(self, problem: Problem) -> Linearisation:
         """Return the linearisation with the priors of a problem."""
@@ -114,21 +109,21 @@ class Linearisation:
             local_prior=-self.point.local / problem.local_u[..., None, :],
         )
 
-    def at_lags(self, problem: Problem, values: Array) -> Linearisation:
+    def with_lags(self, problem: Problem, values: Array) -> Linearisation:
         """Return the linearisation with other thermometer lags, to first order in the changes with temperature.
 
         Parameters
         ----------
         problem
-            The problem with these lags held (`Problem.with_lags`).
+            The problem with these lags held (`Problem.with_held_lags`).
         values : (m,)
             The parameters, lags included.
         """
         point, rows = replace(self.point, values=values), dict(self.rows)
-        lagged, columns = problem.with_lags_at(point), problem.columns_of(problem.change_columns[0])
+        lagged, columns = problem.with_lagged_temperatures(point), problem.columns_of(problem.change_columns[0])
         for kind in rows.keys() & {"accel", "gyro", "turn"}:
             rows[kind] = changed = rows[kind].copy()
-            changes = problem.change_values(point, problem.first[kind])
+            changes = problem.change_values(point, problem.first_station[kind])
             changed[:, :, -1] += (changed[:, :, columns] @ changes[:, :, None])[:, :, 0]
             _add_changes(lagged, point, changed, int(kind == "turn"), self.growing if kind == "turn" else None)
         return replace(self, problem=problem, point=point, rows=rows, prior=prior_rows(problem, point, self.array))
@@ -150,7 +145,7 @@ class Linearisation:
 
 
 def linearise(
-    problem: Problem, point: Point, about: IntegratedTurns | None, components: VarianceComponents = NO_COMPONENTS
+    problem: Problem, point: Point, integrated: IntegratedTurns | None, components: VarianceComponents = NO_COMPONENTS
 ) -> Linearisation:
     """Return the residuals of a problem, their Jacobians and their noise at a point.
 
@@ -158,33 +153,35 @@ def linearise(
     ----------
     problem, point
         The problem, and the point about which it is linearised.
-    about
-        The turns integrated about parameters near the point; None without turns.
+    integrated
+        The turns, integrated at parameters near the point; None without turns.
     components
         Components of variance.
     """
-    lagged = problem.with_lags_at(point)
+    lagged = problem.with_lagged_temperatures(point)
     model, noise = problem.instrument.linearised(point.values), problem.noise
     rows, of_rows = _rows_at_stations(lagged, point, model), dict(noise.rows)
     rows["turn"], growing = problem.zero_rows("turn", problem.rows_of_turn), None
     of_rows["turn"] = with_errors_of_velocity(problem, noise.rows["turn"], gained_in_turns(problem, point))
-    if about is not None:
-        rows["turn"], growing = _turn_rows(lagged, point, about, model)
-        if about.links is not None:
-            rows["link"], of_rows["link"] = _link_rows(lagged, point, about.links, model)
-    arrays = [array.rows(problem.instrument, point.values) for array in (() if about is None else about.arrays)]
+    if integrated is not None:
+        rows["turn"], growing = _turn_rows(lagged, point, integrated, model)
+        if integrated.links is not None:
+            rows["link"], of_rows["link"] = _link_rows(lagged, point, integrated.links, model)
+    arrays = [
+        array.rows(problem.instrument, point.values) for array in (() if integrated is None else integrated.arrays)
+    ]
     array = np.concatenate([np.zeros((0, 1 + len(point.values))), *arrays])
     array = np.insert(array, 0, 0.0, axis=1)
     return Linearisation(
         problem=problem,
         point=point,
-        about=about,
+        integrated=integrated,
         rows=rows,
         growing=growing,
         prior=prior_rows(problem, point, array),
         local_prior=-point.local / problem.local_u[..., None, :],
         array=array,
-        noise=replace(noise, rows=of_rows).at(components),
+        noise=replace(noise, rows=of_rows, components=components),
     )
 
 
@@ -205,11 +202,8 @@ def _rows_at_stations(problem: Problem, point: Point, model: tuple[Array, Array]
     turned[0][:, :, 2], turned[1][:, :, 2] = 0.0, -problem.earth[0] * basis[:, :, 1]
     first = 0
     for block, observed in zip(instrument.blocks, (rests.accel, rests.gyro), strict=False):
-        at, used, rows = (
-            slice(first, first + block.size),
-            instrument.used[block.kind],
-            problem.zero_rows(block.kind, block.size),
-        )
+        at, used = slice(first, first + block.size), instrument.used[block.kind]
+        rows = problem.zero_rows(block.kind, block.size)
         K, D, beta = model[0][at], model[1][at][:, used], functions(block, f, w)
         by_force, by_rate = _slopes(block, K, f, w)
         rows[:, :, :3] = by_force @ turned[0] + by_rate @ turned[1]
@@ -269,24 +263,24 @@ def at_reference(linearisation: Linearisation) -> Array:
 
 
 def _turn_rows(
-    problem: Problem, point: Point, about: IntegratedTurns, model: tuple[Array, Array]
+    problem: Problem, point: Point, integrated: IntegratedTurns, model: tuple[Array, Array]
 ) -> tuple[Array, Array | None]:
     """Return the rows of the turns, (13) and (14), and of spare gyros, and the columns `Linearisation.growing`."""
     turns, instrument, v = problem.observations.turns, problem.instrument, 6 if problem.instrument.in_velocities else 3
     assert turns is not None
-    rows, growing = about.rows(instrument, point.values, model), None
-    if about.growing is not None:
-        growing = along_paths(about.growing, model[1])[:, :, problem.change_columns[1]]
+    rows, growing = integrated.rows(instrument, point.values, model), None
+    if integrated.growing is not None:
+        growing = along_paths(integrated.growing, model[1])[:, :, problem.change_columns[1]]
     shared = np.concatenate([np.zeros((len(rows), 6, 1 + len(problem.local_u))), rows], axis=2)
     _add_changes(problem, point, shared, 1, growing)
-    phi, (spare, free) = shared[:, :3, -1], _spare_rows(problem, point, about, model)
+    phi, (spare, free) = shared[:, :3, -1], _spare_rows(problem, point, integrated, model)
     by_turn = left_jacobian(phi)
-    columns = np.concatenate([shared[:, :, :-1], about.paths[..., CONSTANT]], axis=2)
+    columns = np.concatenate([shared[:, :, :-1], integrated.paths[..., CONSTANT]], axis=2)
     columns[:, :3] = by_turn @ columns[:, :3]
     of_accel = np.zeros((*spare.shape[:2], instrument.accel.size))
     of_spare = np.concatenate([spare[:, :, :-1], of_accel, turns.duration[:, None, None] * free], axis=2)
     increments = Increments(
-        C=rotation_matrix(phi) @ about.C,
+        C=rotation_matrix(phi) @ integrated.C,
         V=shared[:, 3:, -1],
         P=np.zeros((0, 3)),
         columns=np.concatenate([columns[:, :v], of_spare], axis=1),
@@ -304,9 +298,9 @@ def _rows_of_increments(problem: Problem, point: Point, kind: str, increments: I
 
     The `increments` have columns for the parameters of the session, gravity and the common parameters, and then for the
     biases."""
-    C, columns, d = increments.C, increments.columns, problem.of_station
+    C, columns, d = increments.C, increments.columns, problem.station_columns
     rows = problem.zero_rows(kind, columns.shape[1])
-    first, shared, biases = problem.first[kind], columns.shape[2] - problem.sensors, problem.bias_columns
+    first, shared, biases = problem.first_station[kind], columns.shape[2] - problem.sensors, problem.bias_columns
     rows[:, :, -1 - shared : -1] = columns[:, :, :shared]
     after = problem.bias_after if kind == "turn" else 0.5
     rows[:, :, biases] = (1.0 - after) * columns[:, :, shared:]
@@ -319,46 +313,36 @@ def _rows_of_increments(problem: Problem, point: Point, kind: str, increments: I
     rows[:, :3, :3], rows[:, :3, d : d + 3] = -np.swapaxes(left, 1, 2) @ basis, left @ C @ bases(end)
     rows[:, :3, -1] = r
 
-    # ∫ e^{[Ω×]s} ds = T (1 + [x×]/2 + [x×]²/6) and ∬ e^{[Ω×]s} ds² = T²/2 (1 + [x×]/3 + [x×]²/12), x = Ω T
-    x, gained = skew(T[:, None] * problem.earth), point.gravity * T[:, None] * UP
-    velocity = slice(3, 6), increments.V, gained, x / 2.0 + x @ x / 6.0
-    position = slice(6, 9), increments.P, 0.5 * T[:, None] * gained, x / 3.0 + x @ x / 12.0
-    of_turn = (velocity,) if problem.instrument.in_velocities else ()
-    for at, observed, by_gravity, sideways in (velocity, position) if kind == "link" else of_turn:
-        rows[:, at, :3], predicted = _by_gravity(start, basis, by_gravity, sideways)
+    def subtract_gravity(at: slice, observed: Array, gained: Array, by_earth: Array) -> None:
+        """Fill in the rows of increments by gravity, Lᵀ (1 + `by_earth`) `gained` in the body at the start.
+
+        `gained` (K, 3) is vertical, `by_earth` (K, 3, 3) the effect of the Earth's rotation, which alone depends on
+        the heading."""
+        vertical, added = ((each[:, None] @ start)[:, 0] for each in (gained, (by_earth @ gained[:, :, None])[:, :, 0]))
+        predicted = vertical + added
+        rows[:, at, :2], rows[:, at, 2:3] = skew(predicted) @ basis[:, :, :2], skew(added) @ basis[:, :, 2:]
         if problem.observations.site.gravity_u > 0.0:
             rows[:, at, -2 - len(point.values)] = predicted / point.gravity
         rows[:, at, -1] = observed - predicted
+
+    # ∫ e^{[Ω×]s} ds = T (1 + [x×]/2 + [x×]²/6) and ∬ e^{[Ω×]s} ds² = T²/2 (1 + [x×]/3 + [x×]²/12), x = Ω T
+    x, gained = skew(T[:, None] * problem.earth), point.gravity * T[:, None] * UP
+    if kind == "link" or problem.instrument.in_velocities:
+        subtract_gravity(slice(3, 6), increments.V, gained, x / 2.0 + x @ x / 6.0)
+    if kind == "link":
+        subtract_gravity(slice(6, 9), increments.P, 0.5 * T[:, None] * gained, x / 3.0 + x @ x / 12.0)
     return rows
-
-
-def _by_gravity(start: Array, basis: Array, gained: Array, sideways: Array) -> tuple[Array, Array]:
-    """Return the derivatives (K, 3, 3) by the angles at the `start`, and the value (K, 3), of an increment by gravity.
-
-    The increment in the body at the `start` (K, 3, 3) is Lᵀ (1 + sideways) gained, `gained` (K, 3) being vertical and
-    `sideways` (K, 3, 3) the effect of the Earth's rotation, the only part that depends on the heading."""
-    turned = (sideways @ gained[:, :, None])[:, :, 0]
-    vertical, level = ((each[:, None] @ start)[:, 0] for each in (gained, turned))
-    derivatives = np.concatenate([skew(vertical + level) @ basis[:, :, :2], skew(level) @ basis[:, :, 2:]], axis=2)
-    return derivatives, vertical + level
 
 
 def _link_rows(
     problem: Problem, point: Point, parts: IntegratedTurns, model: tuple[Array, Array]
 ) -> tuple[Array, RowNoise]:
-    """Return the rows of the links, and their noise.
-
-    With v the velocity in the body, s the displacement and r the lever, the residuals of rotation, velocity and
-    position are
-
-        log(C L_jᵀ e^{−[Ω×]T} L_i)
-        V − C v_j + v_i − L_iᵀ ∫ e^{[Ω×]s} g e_U ds
-        P − (C − 1) r − L_iᵀ (s_j − s_i) + v_i T − L_iᵀ ∬ e^{[Ω×]s} g e_U ds²
+    """Return the rows of the links, and their noise: the residuals (41) of rotation, velocity and position.
 
     Coriolis forces are left out: they are below 5 µg at velocities of a hand. At a rest the velocity is zero, and
-    positions are not compared, because a device is put down anywhere. The support bends by `support_columns`, whose
-    derivatives by the attitude are left out."""
-    links, d = problem.observations.links, problem.of_station
+    positions are not compared, because a device is put down anywhere. F are the `support_columns`, whose derivatives by
+    the attitude are left out."""
+    links, d = problem.observations.links, problem.station_columns
     assert links is not None
     i, T, J, by_part = links.before, links.duration, len(links), parts.rows(problem.instrument, point.values, model)
     by_part = np.concatenate([by_part[:, :, :-1], parts.paths[..., CONSTANT], by_part[:, :, -1:]], axis=2)
@@ -425,7 +409,7 @@ def inverse_left_jacobian(r: Array) -> Array:
 
 
 def _spare_rows(
-    problem: Problem, point: Point, about: IntegratedTurns, model: tuple[Array, Array]
+    problem: Problem, point: Point, integrated: IntegratedTurns, model: tuple[Array, Array]
 ) -> tuple[Array, Array]:
     """Return rows (K, n − 3, ·) of turns in the directions of n gyros that no rate explains, without the columns of
     stations, and these directions.
@@ -438,7 +422,7 @@ def _spare_rows(
     if readings is None:
         return np.zeros((len(turns), 0, shared)), np.zeros((0, gyro.size))
     K, D = (of[problem.instrument.accel.size :] for of in model)
-    free, beta = left_null_space(K[:, RATE]), about.in_body(gyro.size)
+    free, beta = left_null_space(K[:, RATE]), integrated.in_body(gyro.size)
     beta[..., CONSTANT], beta[..., RATE] = turns.duration[:, None], 0.0
     y = readings.integral - np.einsum("kpb,pb->kp", beta, K)
     beta[..., RATE] = (y @ np.linalg.pinv(K[:, RATE]).T)[:, None]

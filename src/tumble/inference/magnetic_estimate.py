@@ -22,7 +22,6 @@ the vertical so that the field is north.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import permutations, product
 
 import numpy as np
 
@@ -32,7 +31,7 @@ from tumble.inference.linearisation import Linearisation, linearise
 from tumble.inference.magnetometer import DIP, Magnetometer
 from tumble.inference.maximum import Maximum, reintegrated_turns, take_step
 from tumble.inference.normal_equations import solve
-from tumble.rotation import UP, rotation_matrix, unit_vector
+from tumble.rotation import UP, rotation_matrix, signed_permutations, unit_vector
 from tumble.sensors.model import Block, SensorModel
 from tumble.units import DEGREE, Array, BoolArray, IntArray
 
@@ -46,11 +45,6 @@ NEAR = 1e-3  # standard deviation, relative to the field, that is assumed at lea
 SCATTER_LIMIT = 2e-2  # scatter, relative to the field, above which the magnetometer is refused: the field varies
 NEAR_EQUATOR = 20.0 * DEGREE  # latitude below which the field may point up or down
 FIRST_STEPS = 4  # steps of the other sensors, before the magnetometer is fitted to their attitudes
-EXCHANGES = np.array([  # all permutations of axes and signs (48, 3, 3)
-    np.array(signs)[:, None] * np.eye(3)[list(order)]
-    for order in permutations(range(3))
-    for signs in product((1.0, -1.0), repeat=3)
-])  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -101,16 +95,15 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
     """Add the magnetometer of a session to its first linearisation.
 
     Returns the linearisation and "", or the same linearisation and the reason why its readings cannot be used."""
-    problem, about = start.problem, start.about
+    problem, integrated = start.problem, start.integrated
     if problem.magnetic is None:
         return start, ""
     readings, _, _, station = problem.magnetic
-    begun = start
+    linearisation, point = start, start.point
     for _ in range(FIRST_STEPS):
-        point, _ = take_step(solve(begun))
-        about = reintegrated_turns(problem, point, about)
-        begun = linearise(problem, point, about)
-    point = begun.point
+        point, _ = take_step(solve(linearisation))
+        integrated = reintegrated_turns(problem, point, integrated)
+        linearisation = linearise(problem, point, integrated)
     attitudes = point.attitudes[station]
     fit = by_attitudes(readings, attitudes, problem.chain[station])
     if fit is None or np.mean(~fit[2]) > MOST_DISTURBED:  # perhaps by a spoilt turn, which the joint fit finds
@@ -120,24 +113,30 @@ def with_magnetometer(start: Linearisation) -> tuple[Linearisation, str]:
             f"its {len(readings)} readings lie on no one ellipsoid: the attitudes are too few or too much "
             "alike, or a channel does not follow the field; record away from steel in more attitudes"
         )
-    unit, sine, kept = fit
+    in_unit_field, upward, kept = fit  # sensors, vertical part of a field of modulus 1, and readings that agree
+
+    # modulus, sign and dip of the field
     site = problem.observations.site
-    field, latitude = site.field or float(np.cbrt(abs(np.linalg.det(unit.matrix)))), site.latitude or 0.0
-    S = unit.matrix / field
-    if sine * latitude > 0.0 if abs(latitude) > NEAR_EQUATOR else np.linalg.det(S) < 0.0:
-        S, sine = -S, -sine
-    magnetometer = Magnetometer(block=block_near(S), field=field, dip=float(-np.arcsin(sine)))
-    model = SensorModel(matrix=S, bias=unit.bias)
-    level = (attitudes[kept] @ unit_vector(model.apply(readings[kept]))[:, :, None])[:, :, 0]
-    chain, towards = problem.chain, level[:, 0] + 1j * level[:, 2]
-    north, east = (np.bincount(chain[station[kept]], part, chain[-1] + 1) for part in (towards.real, towards.imag))
+    field = site.field or float(np.cbrt(abs(np.linalg.det(in_unit_field.matrix))))
+    latitude, S = site.latitude or 0.0, in_unit_field.matrix / field
+    if upward * latitude > 0.0 if abs(latitude) > NEAR_EQUATOR else np.linalg.det(S) < 0.0:
+        S, upward = -S, -upward
+    magnetometer = Magnetometer(block=block_near(S), field=field, dip=float(-np.arcsin(upward)))
+    model = SensorModel(matrix=S, bias=in_unit_field.bias)
+
+    # heading of each chain, with the field to the north
+    direction = (attitudes[kept] @ unit_vector(model.apply(readings[kept]))[:, :, None])[:, :, 0]
+    chain, chains = problem.chain, problem.chain[-1] + 1
+    north, east = (np.bincount(chain[station[kept]], direction[:, axis], chains) for axis in (0, 2))
     turned = rotation_matrix(np.arctan2(east, north)[chain][:, None] * UP) @ point.attitudes
+
+    # the unknowns of the magnetometer come first among those of the session
     unknowns = np.concatenate([magnetometer.block.parameters(model), np.zeros(len(magnetometer.u) - DIP)])
     local = np.concatenate([np.broadcast_to(unknowns, (len(point.local), len(unknowns))), point.local], axis=1)
     u = np.concatenate([magnetometer.u, problem.local_u])
     problem = replace(problem, magnetometer=magnetometer, local_u=u, usual_local_u=u)
-    begun = linearise(problem, replace(point, attitudes=turned, local=local), about)
-    return replace(begun, noise=begun.noise.weighted(outlier_weights({"mag": ~kept}))), ""
+    linearisation = linearise(problem, replace(point, attitudes=turned, local=local), integrated)
+    return replace(linearisation, noise=linearisation.noise.weighted(outlier_weights({"mag": ~kept}))), ""
 
 
 def by_attitudes(readings: Array, attitudes: Array, chain: IntArray) -> tuple[SensorModel, float, BoolArray] | None:
@@ -176,11 +175,13 @@ def _agreeing(rows: Array, modulus: Array, share: float) -> tuple[Array, BoolArr
     squares = (np.swapaxes(rows, 1, 2) @ rows).reshape(K, -1)
 
     def fit(member: Array) -> tuple[Array, Array, Array]:
+        """Return eigenvalues (s, c), x (s, c) and squared errors (s, K) of fits to s subsets, 1 or 0 (s, K)."""
         value, vector = np.linalg.eigh((member @ squares).reshape(-1, c, c))
         x = vector[:, :, 0]
         error = ((rows @ x.T) ** 2).sum(axis=1).T
         return value, x, error / np.maximum(((x @ modulus) ** 2).sum(axis=1), 1e-300)[:, None]
 
+    # least trimmed squares: each subset becomes that of the smallest errors
     kept = np.ones((1, K))
     if least < K:
         order = np.random.default_rng(K).random((SUBSETS, K)).argsort(axis=1)
@@ -189,6 +190,8 @@ def _agreeing(rows: Array, modulus: Array, share: float) -> tuple[Array, BoolArr
             error = fit(kept)[2]
             kept = np.where(error <= np.partition(error, least - 1, axis=1)[:, least - 1 : least], 1.0, 0.0)
         kept = kept[[np.argmin((error * kept).sum(axis=1))]]
+
+    # all readings that agree with the best of them
     for widened in (WIDENED, *[1.0] * REFITS):
         value, x, error = fit(kept)
         scale = float((error * kept).sum() / max(r * kept.sum() - c + 1, 1.0))
@@ -235,7 +238,8 @@ def by_ellipsoid(readings: Array, vertical: Array) -> tuple[SensorModel, float, 
 
 def block_near(matrix: Array) -> Block:
     """Return the magnetometer block with the nominal axes nearest to a sensitivity matrix (3, 3)."""
-    return Block(kind="mag", axes=EXCHANGES[np.argmax((EXCHANGES * matrix).sum(axis=(1, 2)))])
+    axes = signed_permutations()
+    return Block(kind="mag", axes=axes[np.argmax((axes * matrix).sum(axis=(1, 2)))])
 
 
 def magnetometer_estimate(fitted: Maximum, step: Array) -> MagnetometerEstimate | None:

@@ -1,13 +1,8 @@
 """Maximum of the posterior ℓ(φ) of the hyperparameters, with the unknowns x integrated out.
 
 x are gravity, the parameters, those of each session, the attitudes and the states of the in-run biases: the problem is
-linear, or nearly so, in x given φ (`tumble.inference.hyperparameters`). The function to maximise is the logarithm of
-the posterior of φ with x integrated out,
-
-    ℓ(φ) = ln p(φ) − ½ [rᵀV⁻¹r + x̂ᵀP₀x̂ + ln |V| − ln |P₀| + 2 Σ ln |diag R|]
-
-where r are the residuals at x̂(φ), V is the covariance of all rows, P₀ the precision of the priors (x̂ counts from
-their means) and R stands for all triangles of the elimination; docs/explanation/mathematics.md (23), (28) and (29).
+linear, or nearly so, in x given φ (`tumble.inference.hyperparameters`). ℓ(φ) is the logarithm of the posterior of φ
+with x integrated out, docs/explanation/mathematics.md (23), (28) and (29).
 
     x   Gauss–Newton: x ← x + argmin of the residuals linearised at x. Turns are integrated again about the current
         parameters wherever the second-order effect of the change since the last integration matters.
@@ -18,7 +13,7 @@ their means) and R stands for all triangles of the elimination; docs/explanation
 The iteration ends when a step of x is negligible relative to u (CONVERGED) and ½ γᵀB⁻¹γ, the expected gain of ℓ, is
 below GAIN per element of φ (`Maximum.converged`), or when it runs out of steps, which is no result.
 
-The mean heading of a chain of turns that the gyros hardly observe (worse than UNSEEN) is not changed. It stays an
+The mean heading of a chain of turns that the gyros hardly observe (worse than UNOBSERVED) is not changed. It stays an
 unknown of every step, so that it takes no information from the parameters. The same holds for the gravity of an unknown
 place.
 """
@@ -62,19 +57,19 @@ WEIGHT_CHANGE = 0.05  # change of the weight of a row that is negligible
 # φ is not moved until a step of x is below NEAR u, for at most FAR_STEPS linearisations: until then residuals are far
 # off.
 NEAR, FAR_STEPS = 1.0, 2
-SAME = 0.1  # distance in ℓ below a known maximum, per element of φ, from which an iteration leads there
-FURTHEST = 2.0  # Δ at first, and its upper limit
-SQUARED = 10.0  # error after a step of Gauss–Newton over the square of the step, in units of the spreads
-UNSEEN = 0.2  # rad: standard deviation above which a heading is not observed by the gyros
+SAME_MAXIMUM = 0.1  # distance in ℓ below a known maximum, per element of φ, from which an iteration leads there
+LARGEST_RADIUS = 2.0  # Δ at first, and its upper limit
+SECOND_ORDER = 10.0  # error after a step of Gauss–Newton over the square of the step, in units of the spreads
+UNOBSERVED = 0.2  # rad: standard deviation above which a heading is not observed by the gyros
 # Linearisations after which a heading that still moves is not observed, and weights of rows go half of the way.
-TO_AND_FRO = 6
+DAMPED_FROM = 6
 PLACE_UNKNOWN = 1e-3  # relative u of gravity of an unknown place, three times that of normal gravity anywhere
-BEYOND = 3.0  # ratio of scatter or a size to the usual from which `maximise_from_starts` tries other starts
+UNUSUAL = 3.0  # ratio of scatter or a size to the usual from which `maximise_from_starts` tries other starts
 NOT_ABSORBING = "mag", "displacement", "displacement_time"  # elements of φ that do not absorb errors of sensors
 ROUNDS = 3  # of readmitting outliers that others, now left out, have made
 USELESS = {"turn": 0.3, "velocity": 3.0}  # rad and m/s: turns of such scatter have no information
-WIDE = 3.0  # prior standard deviations of p from which sizes of groups start
-ANEW = 3.0  # s: correlation time of biases that change at every rest
+WIDE_SIZES = 3.0  # prior standard deviations of p from which sizes of groups start
+CHANGING_TIME = 3.0  # s: correlation time of biases that change at every rest
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -107,11 +102,6 @@ class Maximum:
     curvature: Array
     increments: tuple[Array, ...]
     converged: bool
-
-    @property
-    def usual_problem(self) -> Problem:
-        """Problem with groups of usual size."""
-        return self.linearisation.problem
 
     @property
     def problem(self) -> Problem:
@@ -149,13 +139,13 @@ def maximise(
     robust
         True for residuals with a Student-t distribution (`tumble.inference.fits`).
     known
-        An earlier maximum, returned as soon as the iteration approaches it from below to within SAME.
+        An earlier maximum, returned as soon as the iteration approaches it from below to within SAME_MAXIMUM.
     """
     problem, linearisation = start.problem, start
     hyperparameters = hyperparameters_of(problem, start.noise, _estimable(solve(start, NO_COMPONENTS)))
     if phi is None or len(phi) != len(hyperparameters):
         phi = hyperparameters.centre
-    increments, near, phi_settled, radius = list[Array](), False, False, FURTHEST
+    increments, near, phi_settled, radius = list[Array](), False, False, LARGEST_RADIUS
     while True:
         solution = solution_at(linearisation, hyperparameters, phi)
         near = near or len(increments) >= FAR_STEPS or negligible(solution, NEAR)
@@ -164,13 +154,13 @@ def maximise(
         phi = solution.phi
         if known is not None and near and len(phi) == len(known.phi):
             offset, below = phi - known.phi, float(known.solution.log_posterior - solution.log_posterior)
-            if max(below, 0.5 * float(offset @ known.information @ offset)) < SAME * len(phi) and below > 0.0:
+            if max(below, 0.5 * float(offset @ known.information @ offset)) < SAME_MAXIMUM * len(phi) and below > 0.0:
                 return known
 
         # Gauss–Newton step of x, to the point of the next linearisation
-        point, change = take_step(solution, keep=len(increments) >= TO_AND_FRO)
+        point, change = take_step(solution, keep_headings=len(increments) >= DAMPED_FROM)
         increments.append(change)
-        about, noise = reintegrated_turns(problem, point, linearisation.about), linearisation.noise
+        integrated, noise = reintegrated_turns(problem, point, linearisation.integrated), linearisation.noise
         weights = before = noise.weights
         if robust:
             of_rows, outliers = student_weights(chi_square_falls(solution)), left_out(start.noise.weights)
@@ -179,9 +169,9 @@ def maximise(
                 kind: np.where(outliers[kind] & (w < LEAST_WEIGHT), least[kind], w) for kind, w in of_rows.items()
             }
         weights_settled = all(np.all(np.abs(weights[kind] - w) < WEIGHT_CHANGE) for kind, w in before.items())
-        if len(increments) >= TO_AND_FRO:  # so that two rows do not get the low weight alternately
+        if len(increments) >= DAMPED_FROM:  # so that two rows do not get the low weight alternately
             weights = {kind: 0.5 * (weights[kind] + w) for kind, w in before.items()}
-        settled = negligible(solution) and about is linearisation.about and phi_settled and weights_settled
+        settled = negligible(solution) and integrated is linearisation.integrated and phi_settled and weights_settled
         if settled or len(increments) >= iterations:
             information, B = curvatures if near else derivatives(hyperparameters, solution)[1:]
             return Maximum(
@@ -194,12 +184,12 @@ def maximise(
                 increments=tuple(increments),
                 converged=settled,
             )
-        linearisation = linearise(problem, point, about)
+        linearisation = linearise(problem, point, integrated)
         linearisation = replace(linearisation, noise=linearisation.noise.weighted(weights))
 
 
 def maximise_phi(
-    hyperparameters: Hyperparameters, solution: Solution, radius: float = FURTHEST
+    hyperparameters: Hyperparameters, solution: Solution, radius: float = LARGEST_RADIUS
 ) -> tuple[Solution, tuple[Array, Array], float, bool]:
     """Maximise ℓ over φ at fixed residuals, by at most STEPS steps of a trust region.
 
@@ -234,7 +224,7 @@ def maximise_phi(
         tried = solution_at(solution.linearisation, hyperparameters, solution.phi + step)
         gained = float(tried.log_posterior - solution.log_posterior)
         poor = gained < 0.1 * expected or expected <= 0.0
-        radius = 0.3 * float(np.abs(step).max()) if poor else min(2.0 * radius, FURTHEST)
+        radius = 0.3 * float(np.abs(step).max()) if poor else min(2.0 * radius, LARGEST_RADIUS)
         if gained > 0.0:
             solution = tried
             gradient, information, B = derivatives(hyperparameters, solution)
@@ -252,33 +242,35 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
     best = maximise(start, iterations=iterations)
     if start.problem.observations.turns is None:
         return best
-    hyperparameters, starts = best.hyperparameters, list[tuple[float, Array]]()
+    hyperparameters, bias_after = best.hyperparameters, start.problem.bias_after
     sizes = {h.name: float(h.value(p)) for h, p in zip(hyperparameters, best.phi, strict=True)}
     absorbing = [h for h in hyperparameters if not (h.kind == "time" or h.name in NOT_ABSORBING)]
-    far = [h for h in absorbing if sizes[h.name] > BEYOND * h.usual]
-    share, turns = start.problem.bias_after, len(start.problem.before_turn) > 0
+    far = [h for h in absorbing if sizes[h.name] > UNUSUAL * h.usual]
+    starts = list[tuple[float, Array]]()  # `Problem.bias_after` and φ
     if any(h.kind in {"scatter", "group"} for h in far):
-        useless = [np.log(USELESS[h.name]) if h.name in USELESS else h.centre for h in hyperparameters]
-        starts.append((share, np.array(useless)))
+        useless_turns = [np.log(USELESS[h.name]) if h.name in USELESS else h.centre for h in hyperparameters]
+        starts.append((bias_after, np.array(useless_turns)))
     groups = np.array([h.kind == "group" for h in hyperparameters], dtype=bool)
     if far and groups.any():
-        starts.append((share, np.where(groups, [WIDE * h.within for h in hyperparameters], hyperparameters.centre)))
-    scatters = any(h.name in REST_SCATTER and sizes[h.name] > h.usual for h in hyperparameters)
-    if scatters or any(h.kind == "process" for h in far):
-        anew = best.phi.copy()
+        wide_groups = np.where(groups, [WIDE_SIZES * h.within for h in hyperparameters], hyperparameters.centre)
+        starts.append((bias_after, wide_groups))
+    rests_scatter = any(h.name in REST_SCATTER and sizes[h.name] > h.usual for h in hyperparameters)
+    if rests_scatter or any(h.kind == "process" for h in far):
+        changing_biases = best.phi.copy()  # the scatter at rest is in their size
         for i, h in enumerate(hyperparameters):
             if h.name in NOT_ABSORBING:
                 continue
             if h.kind == "time":
-                anew[i] = np.log(ANEW)
+                changing_biases[i] = np.log(CHANGING_TIME)
             elif h.kind == "process":
-                anew[i] = np.log(np.hypot(sizes[h.name], sizes.get(h.name.removesuffix("_in_run"), 0.0)))
+                changing_biases[i] = np.log(np.hypot(sizes[h.name], sizes.get(h.name.removesuffix("_in_run"), 0.0)))
             elif h.name in REST_SCATTER:
-                anew[i] = h.centre
-        starts += [(0.0, anew), (1.0, anew)] if turns else [(share, anew)]
-    for bias_after, phi in starts:
-        known = best if bias_after == best.linearisation.problem.bias_after else None
-        first = start.again(replace(start.problem, bias_after=bias_after), start.point)
+                changing_biases[i] = h.centre
+        shares = (0.0, 1.0) if len(start.problem.before_turn) else (bias_after,)
+        starts += [(share, changing_biases) for share in shares]
+    for share, phi in starts:
+        known = best if share == best.linearisation.problem.bias_after else None
+        first = start.again(replace(start.problem, bias_after=share), start.point)
         other = maximise(first, phi, iterations, known=known)
         if other.converged and other.solution.log_posterior > best.solution.log_posterior:
             best = other
@@ -286,7 +278,10 @@ def maximise_from_starts(start: Linearisation, iterations: int = MAX_ITERATIONS)
 
 
 def without_outliers(fitted: Maximum, iterations: int = MAX_ITERATIONS) -> Maximum:
-    """Return the maximum without rests and turns that are outliers; `fitted` itself if there are none."""
+    """Return the maximum without rests and turns that are outliers; `fitted` itself if there are none.
+
+    If the largest distance is improbable, outliers are those of a robust maximum. The maximum without them is computed
+    until all of them are outliers with respect to it, at most ROUNDS times."""
     before, outliers = left_out(fitted.linearisation.noise.weights), _outliers(fitted.solution)
     distances = np.concatenate([distance[~before[kind]] for kind, distance in sigmas(fitted.solution).items()])
     p_value = 2.0 * scipy.special.ndtr(-distances.max(initial=0.0)) * len(distances)
@@ -329,25 +324,25 @@ def negligible(solution: Solution, share: float = CONVERGED) -> bool:
     """Return True if the error expected after this step is below a `share` of u: Gauss–Newton squares it."""
     change = np.abs(_with_gravity_kept(solution)[0][1:])
     u = np.sqrt(solution.covariance.diagonal()[1:])
-    after = change * min(1.0, SQUARED * float(np.max(change / solution.problem.spread)))
+    after = change * min(1.0, SECOND_ORDER * float(np.max(change / solution.problem.spread)))
     return bool(np.all(after <= share * u + 1e-15))
 
 
-def take_step(solution: Solution, keep: bool = False) -> tuple[Point, Array]:
+def take_step(solution: Solution, keep_headings: bool = False) -> tuple[Point, Array]:
     """Return the point after the step of a solution, and the step of the parameters.
 
-    The step is shortened so that no parameter moves by more than its spread. The mean heading of chains that the gyros
-    hardly observe is kept, or of all chains if `keep`, unless there is a magnetometer."""
+    The step is shortened so that no parameter moves by more than its spread. Without a magnetometer the mean heading of
+    chains that the gyros hardly observe is kept, or of all chains with `keep_headings`."""
     problem, equations = solution.problem, solution.equations
     parameters, angles, local = _with_gravity_kept(solution)
     share = 1.0 / max(1.0, float(np.max(np.abs(parameters[1:]) / problem.spread)))
     angles, chain = share * angles, problem.chain
     # scaled by chi-square per row: a heading from residuals far above the Earth's rate would oscillate
     count = sum(rows.shape[0] * rows.shape[1] for rows in equations.rows.values())
-    hidden = np.bincount(chain, heading_information(solution)) < UNSEEN**-2 * max(1.0, solution.square / count)
-    if (keep or hidden.any()) and problem.magnetometer is None:
+    unobserved = np.bincount(chain, heading_information(solution)) < UNOBSERVED**-2 * max(1.0, solution.square / count)
+    if (keep_headings or unobserved.any()) and problem.magnetometer is None:
         mean = np.bincount(chain, angles[:, 2]) / np.bincount(chain)
-        angles[:, 2] -= np.where(hidden | keep, mean, 0.0)[chain]
+        angles[:, 2] -= np.where(unobserved | keep_headings, mean, 0.0)[chain]
     velocities = displacements = None
     if problem.moves:
         velocities = share * solution.unknowns[:, 3:6]
@@ -369,7 +364,7 @@ def _with_gravity_kept(solution: Solution) -> tuple[Array, Array, Array]:
     by_gravity = solution.parameters[0] / solution.covariance[0, 0]
     angles = [
         solution.angles[part.stations] - by_gravity * sensitivity[part.stations, :3, :-1] @ along
-        for part, along in zip(problem.parts, solution.session_covariances[:, :, q], strict=True)
+        for part, along in zip(problem.session_spans, solution.session_covariances[:, :, q], strict=True)
     ]
     local = solution.local - by_gravity * solution.session_covariances[:, :q, q]
     return solution.parameters - by_gravity * solution.covariance[:, 0], np.concatenate(angles), local
@@ -383,20 +378,22 @@ def heading_information(solution: Solution) -> Array:
     d, information = equations.unknowns, np.zeros(len(problem.chain))
     for kind, rows in equations.rows.items():
         by_heading = rows[:, :, 2] if STATIONS[kind] == 1 else rows[:, :, 2] + rows[:, :, d + 2]
-        information[problem.first[kind]] += (by_heading**2).sum(axis=1)
+        information[problem.first_station[kind]] += (by_heading**2).sum(axis=1)
     return information
 
 
-def reintegrated_turns(problem: Problem, point: Point, about: IntegratedTurns | None) -> IntegratedTurns | None:
+def reintegrated_turns(problem: Problem, point: Point, integrated: IntegratedTurns | None) -> IntegratedTurns | None:
     """Return the turns, integrated again if parameters have moved too far since the last integration."""
-    if about is None:
+    if integrated is None:
         return None
     changes = problem.coefficient_changes(point)
     gyros = slice(problem.instrument.accel.size, None)
-    if changes is not None and about.are_small(changes[:, gyros], problem.noise_of_turns):
+    if changes is not None and integrated.are_small(changes[:, gyros], problem.noise_of_turns):
         changes = None
     gyro_changes = 0.0 if changes is None else changes[:, gyros]
-    links_good = about.links is None or about.links.valid_at(problem.instrument, point.values, problem.noise_of_parts)
-    if links_good and about.valid_at(problem.instrument, point.values, problem.noise_of_turns, gyro_changes):
-        return about
+    links_good = integrated.links is None or integrated.links.valid_at(
+        problem.instrument, point.values, problem.noise_of_parts
+    )
+    if links_good and integrated.valid_at(problem.instrument, point.values, problem.noise_of_turns, gyro_changes):
+        return integrated
     return IntegratedTurns.of(problem.observations, problem.instrument, point.values, changes)

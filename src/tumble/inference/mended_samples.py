@@ -97,27 +97,27 @@ def _closing_best(as_recorded: Observations, suspects: BadSamples, runs: IntArra
 
     count = int(runs[-1]) + 1
     turn_of = suspects.turn[np.searchsorted(runs, np.arange(count))]
-    number = np.arange(count) - np.searchsorted(turn_of, turn_of)  # of a run within its turn
-    number[np.bincount(turn_of)[turn_of] > MOST_RUNS] = 0
+    run_in_turn = np.arange(count) - np.searchsorted(turn_of, turn_of)
+    run_in_turn[np.bincount(turn_of)[turn_of] > MOST_RUNS] = 0
     replaced = np.zeros(count, dtype=bool)
     with_all, with_none = misclosure(~replaced), misclosure(replaced)
-    noise = (float(np.median(np.trace(C, axis1=1, axis2=2))) for C in (turns.covariance, turns.velocity_covariance))
-    sizes = [float(np.median(np.minimum(a, b))) + size for a, b, size in zip(with_all, with_none, noise, strict=True)]
+    noise = [float(np.median(np.trace(C, axis1=1, axis2=2))) for C in (turns.covariance, turns.velocity_covariance)]
+    variance_φ, variance_v = (np.median(np.minimum(with_all[i], with_none[i])) + noise[i] for i in (0, 1))
 
     def weighed(misclosures: tuple[Array, Array]) -> Array:
         """Return Q (K,)."""
-        return np.asarray(misclosures[0] / sizes[0] + misclosures[1] / sizes[1])
+        return np.asarray(misclosures[0] / variance_φ + misclosures[1] / variance_v)
 
     Q, Q_all = weighed(with_none), weighed(with_all)
     all_at_first = ~(Q_all >= Q + ALIKE)  # also if either is NaN
     replaced, Q = all_at_first[turn_of], np.where(all_at_first, Q_all, Q)
     for _ in range(ROUNDS):
         settled = True
-        for n in range(int(number.max()) + 1):
-            tried = replaced ^ (number == n)
+        for n in range(int(run_in_turn.max()) + 1):
+            tried = replaced ^ (run_in_turn == n)
             Q_tried = weighed(misclosure(tried))
             better = Q_tried < Q
-            taken = better[turn_of] & (number == n)
+            taken = better[turn_of] & (run_in_turn == n)
             settled &= not taken.any()
             replaced, Q = np.where(taken, tried, replaced), np.where(better, Q_tried, Q)
         if settled:

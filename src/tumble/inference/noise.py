@@ -121,11 +121,9 @@ class VarianceComponents:
 
     def of_states(self, accelerometers: int, gyros: int, displacements: int = 0) -> tuple[Array, Array]:
         """Return standard deviations and correlation times (s,) of these numbers of in-run biases and displacements."""
+        counts = accelerometers, gyros, displacements
         sizes = [self.accel_in_run, self.gyro_in_run, self.displacement]
-        times, counts = (
-            [self.accel_time, self.gyro_time, self.displacement_time],
-            (accelerometers, gyros, displacements),
-        )
+        times = [self.accel_time, self.gyro_time, self.displacement_time]
         sigma, tau = (_stacked(numbers).repeat(counts, axis=-1) for numbers in (sizes, times))
         sigma[..., : self.unlike.shape[-1]] *= self.unlike
         return sigma, tau
@@ -207,10 +205,6 @@ class NoiseModel:
     follows: BoolArray
     sensors: tuple[int, int]
     components: VarianceComponents = NO_COMPONENTS
-
-    def at(self, components: VarianceComponents) -> NoiseModel:
-        """Return the noise with other components of variance."""
-        return replace(self, components=components)
 
     @property
     def weights(self) -> dict[str, Array]:

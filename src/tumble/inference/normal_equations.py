@@ -156,7 +156,11 @@ class Solution:
     @cached_property
     def mean_bias(self) -> tuple[Array, Array] | None:
         """Derivatives of the mean in-run biases (`session_mean_bias`); None without biases or for several sessions."""
-        return session_mean_bias(self.equations) if self.equations.wanders and len(self.problem.parts) == 1 else None
+        return (
+            session_mean_bias(self.equations)
+            if self.equations.wanders and len(self.problem.session_spans) == 1
+            else None
+        )
 
     @cached_property
     def session_root(self) -> Array:
@@ -191,7 +195,7 @@ class Solution:
     @cached_property
     def unknowns(self) -> Array:
         """Step of the unknowns (M, d) of the stations by back-substitution: angles, velocities if any, states."""
-        sensitivity, parts = self.equations.sensitivity, enumerate(self.problem.parts)
+        sensitivity, parts = self.equations.sensitivity, enumerate(self.problem.session_spans)
         steps = (sensitivity[..., part.stations, :, :] @ self.shared[..., s, None, :, None] for s, part in parts)
         return np.concatenate([step[..., 0] for step in steps], axis=-2)
 
@@ -221,9 +225,9 @@ class Solution:
         sensitivity, out = self.equations.sensitivity, dict[str, tuple[Array, Array]]()
         here, with_next = self.conditional_covariances
         for kind, rows in self.equations.rows.items():
-            (K, r, columns), width, first = rows.shape, sensitivity.shape[-1], self.problem.first[kind]
+            (K, r, columns), width, first = rows.shape, sensitivity.shape[-1], self.problem.first_station[kind]
             residual, covariance, work = np.zeros((K, r)), np.zeros((K, r, r)), np.empty((r, columns - width))
-            for part, root, shared in zip(self.problem.parts, self.roots, self.shared, strict=True):
+            for part, root, shared in zip(self.problem.session_spans, self.roots, self.shared, strict=True):
                 at = part.rows[kind]
                 of_part, along = (rows[at], first[at]), np.empty((len(first[at]), r, width - 1))
                 reduced_rows(*of_part, sensitivity, shared, residual[at], along)
@@ -261,10 +265,10 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
     d, states = noise.unknowns, noise.states
     *stack, M, _, width = at_stations.shape
     factors, size = np.empty((*stack, M, d, d + width)), width - d
-    triangles = np.swapaxes(np.zeros((*stack, len(problem.parts), size, size)), -1, -2)
+    triangles = np.swapaxes(np.zeros((*stack, len(problem.session_spans), size, size)), -1, -2)
     initial = np.zeros((d, d + width))  # states of the first station have unit variance
     initial[d - states :, d - states : d] = np.eye(states)
-    for s, part in enumerate(problem.parts):
+    for s, part in enumerate(problem.session_spans):
         stations = part.stations
         link = np.append(np.arange(stations.stop - stations.start - 1), -1)
         for at in product(*map(range, stack)):
@@ -276,10 +280,10 @@ def eliminate_rests(linearisation: Linearisation) -> NormalEquations:
 def whitened_rows(linearisation: Linearisation, whitening: Mapping[str, Array]) -> dict[str, Array]:
     """Return the whitened rows by kind (`NormalEquations`), with in-run biases and displacements of unit variance."""
     problem, noise, s = linearisation.problem, linearisation.noise, linearisation.noise.states
-    d, out, biases = noise.unknowns, dict[str, Array](), np.arange(problem.of_station)[problem.bias_columns]
+    d, out, biases = noise.unknowns, dict[str, Array](), np.arange(problem.station_columns)[problem.bias_columns]
     for kind, rows in linearisation.rows.items():
         if noise.biases == 0:  # delete their columns
-            rows = np.delete(rows, [biases + e * problem.of_station for e in range(STATIONS[kind])], axis=2)
+            rows = np.delete(rows, [biases + e * problem.station_columns for e in range(STATIONS[kind])], axis=2)
         out[kind] = whitening[kind] @ rows
         for last in range(d, (1 + STATIONS[kind]) * d, d) if s else ():
             out[kind][..., last - s : last] *= noise.state_sigma[..., None, None, :]
@@ -287,22 +291,26 @@ def whitened_rows(linearisation: Linearisation, whitening: Mapping[str, Array]) 
 
 
 def rows_by_station(linearisation: Linearisation, rows: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Return whitened rows as those of every station (M, r, d + w), and those that join it to the next (M, t, 2 d + w).
+    """Return the whitened rows of every station (M, r, d + w), and those that join it to the next (M, t, 2 d + w).
 
     Rows are zero where a kind has none. The last of those that join are the steps of the s states (19)."""
     problem, noise = linearisation.problem, linearisation.noise
-    s, d, M, out = noise.states, noise.unknowns, len(problem.chain), list[Array]()
-    for stations, more in ((1, 0), (2, s)):
-        kinds = {kind: each for kind, each in rows.items() if STATIONS[kind] == stations}
-        *stack, _, _, width = rows["accel" if stations == 1 else "turn"].shape
-        height = sum(each.shape[-2] for each in kinds.values() if each.shape[-3]) + more
-        out.append(np.zeros((*stack, M, height, width)))
-        last = 0
-        for kind, each in kinds.items():
-            if each.shape[-3]:
-                last += each.shape[-2]
-                out[-1][..., problem.first[kind], last - each.shape[-2] : last, :] = each
-    at_stations, joints = out
+    s, d, M = noise.states, noise.unknowns, len(problem.chain)
+
+    def joined_kinds(stations: int, always: str, further: int) -> Array:
+        """Return the kinds of rows in the unknowns of one or two stations, one below the other, then `further` zeros.
+
+        The kind `always` has an array, perhaps without rows, in every problem."""
+        kinds = {kind: of_kind for kind, of_kind in rows.items() if STATIONS[kind] == stations and of_kind.shape[-3]}
+        *stack, _, _, width = rows[always].shape
+        out, top = np.zeros((*stack, M, sum(each.shape[-2] for each in kinds.values()) + further, width)), 0
+        for kind, of_kind in kinds.items():
+            bottom = top + of_kind.shape[-2]
+            out[..., problem.first_station[kind], top:bottom, :] = of_kind
+            top = bottom
+        return out
+
+    at_stations, joints = joined_kinds(1, "accel", 0), joined_kinds(2, "turn", s)
     if s:
         here, step = np.flatnonzero(noise.follows)[:, None], noise.state_step[..., noise.follows, :]
         state = np.arange(s)
@@ -317,7 +325,7 @@ def add_priors(linearisation: Linearisation, equations: NormalEquations, **at_ph
     Priors of each session are folded in first and its parameters eliminated; then the common priors. `at_phi` are the
     fields `phi` and `prior_terms` of the solution."""
     problem = linearisation.problem
-    q, S, p = len(problem.usual_local_u), len(problem.parts), linearisation.prior.shape[-1] - 1
+    q, S, p = len(problem.usual_local_u), len(problem.session_spans), linearisation.prior.shape[-1] - 1
     stack = max(linearisation.prior.shape[:-2], equations.session_factors.shape[:-3], key=len)
 
     def stacked(x: Array, axes: int) -> Array:
@@ -426,7 +434,7 @@ def explained(solution: Solution, at_stations: Array, of_sessions: Array) -> Arr
     """
     equations, q, D = solution.equations, solution.local.shape[-1], at_stations.shape[-1]
     inverse, by_next = equations.inverses
-    for b, part in zip(of_sessions, solution.problem.parts, strict=True):
+    for b, part in zip(of_sessions, solution.problem.session_spans, strict=True):
         stations = part.stations
         b += np.tensordot(equations.sensitivity[stations, :, :-1], at_stations[stations], axes=((0, 1), (0, 1)))
     noise = np.swapaxes(inverse, 1, 2) @ adjoint(by_next, at_stations)

@@ -29,10 +29,9 @@ An attitude is updated in the body, L → L exp([δ×]), with δ in the basis t�
 J_l(r) is the left Jacobian of the rotation group, J_r(r) = J_l(r)ᵀ. In this basis the coefficients of a heading that
 the gyros do not observe vanish exactly: the heading stays free and takes no information from other unknowns.
 
-Noise, (16) and (17): to the noise within rests, components of variance are added, and the bias of every sensor is a
-Gauss–Markov process whose states are unknowns of the rests (`tumble.inference.noise`). Without a latitude the Earth's
-rate is noise of Ω/√3 per axis. If all rests have one attitude, the unknown part of the Earth's rate is an error common
-to them all (`tumble.inference.sources`), because a free heading in (14) would absorb a level direction of the biases.
+Noise and in-run biases are those of `tumble.inference.noise`. Without a latitude the Earth's rate is noise of Ω/√3 per
+axis. If all rests have one attitude, the unknown part of the Earth's rate is an error common to them all
+(`tumble.inference.sources`), because a free heading in (14) would absorb a level direction of the biases.
 """
 
 from __future__ import annotations
@@ -126,8 +125,8 @@ class Point:
         displacements: Array | None = None,
     ) -> Point:
         """Return the point after steps of gravity and the parameters (1 + m,), of the angles (M, 3), of the parameters
-        of each session and of the velocities, and with new displacements. The heading, which may be far off, is turned
-        exactly."""
+        of each session (S, q) and of the velocities (M, 3), with new displacements (M, 3). The heading, which may be
+        far off, is rotated exactly."""
         tilt = (bases(self.attitudes)[:, :, :2] @ angles[:, :2, None])[:, :, 0]
         return Point(
             values=self.values + parameters[1:],
@@ -214,7 +213,7 @@ class Problem:
         Instrument whose further groups each session has for itself; None for a single session.
     local_u, usual_local_u : (q,)
         Prior standard deviations of the parameters of a session, and those of usual size.
-    at_lags
+    temperature_lags
         Lags of the sensor temperatures behind the thermometers, s, by kind of sensor.
     magnetometer
         The magnetometer, whose unknowns come first among the parameters of a session; None without one.
@@ -233,7 +232,7 @@ class Problem:
     local: Instrument | None
     local_u: Array
     usual_local_u: Array
-    at_lags: Mapping[str, float] = field(default_factory=dict)
+    temperature_lags: Mapping[str, float] = field(default_factory=dict)
     bias_after: float = 0.5
     magnetometer: Magnetometer | None = None
 
@@ -346,7 +345,7 @@ class Problem:
         return self.station[np.zeros(0, dtype=np.int64) if turns is None else turns.first]
 
     @cached_property
-    def first(self) -> dict[str, IntArray]:
+    def first_station(self) -> dict[str, IntArray]:
         """Kinds of rows, with the first station of each of their blocks."""
         out = dict[str, IntArray]()
         out |= {block.kind: self.station for block in self.instrument.blocks}
@@ -362,21 +361,21 @@ class Problem:
         """Number of the chain of turns and links that each station (M,) belongs to."""
         links = self.observations.links
         joined = np.zeros(len(self.station if links is None else links.time), dtype=bool)
-        for kind in self.first.keys() & {"turn", "link"}:
-            joined[self.first[kind]] = True
+        for kind in self.first_station.keys() & {"turn", "link"}:
+            joined[self.first_station[kind]] = True
         return np.append(0, np.cumsum(~joined[:-1]))
 
     @cached_property
-    def session(self) -> IntArray:
+    def session_of_station(self) -> IntArray:
         """Number of the session of each station (M,)."""
         session = self.observations.session
         return np.zeros(len(self.chain), dtype=np.int64) if session is None else session
 
     @cached_property
-    def parts(self) -> tuple[SessionSpan, ...]:
+    def session_spans(self) -> tuple[SessionSpan, ...]:
         """Slices of the sessions."""
-        stations = np.searchsorted(self.session, np.arange(self.session[-1] + 2)).tolist()
-        edges = {kind: np.searchsorted(first, stations).tolist() for kind, first in self.first.items()}
+        stations = np.searchsorted(self.session_of_station, np.arange(self.session_of_station[-1] + 2)).tolist()
+        edges = {kind: np.searchsorted(first, stations).tolist() for kind, first in self.first_station.items()}
         return tuple(
             SessionSpan(
                 stations=slice(*stations[s : s + 2]), rows={kind: slice(*at[s : s + 2]) for kind, at in edges.items()}
@@ -388,15 +387,16 @@ class Problem:
     def magnetic(self) -> MagneticReadings | None:
         """Readings of the magnetometer at the stations; None without them."""
         rests, links = self.observations.rests, self.observations.links
-        parts = list[tuple[Array, Array, Array, IntArray]]()
+        readings = list[tuple[Array, Array, Array, IntArray]]()
         if rests.magnetometer is not None and rests.magnetometer_covariance is not None:
-            still = np.zeros_like(rests.magnetometer)
-            parts.append((rests.magnetometer, rests.magnetometer_covariance, still, self.station))
+            no_rates = np.zeros_like(rests.magnetometer)
+            readings.append((rests.magnetometer, rests.magnetometer_covariance, no_rates, self.station))
         if links is not None and links.magnetometer is not None:
-            seen = links.magnetic
-            covariance = np.broadcast_to(links.magnetometer_variance * np.eye(3), (seen.sum(), 3, 3))
-            parts.append((links.magnetometer[seen], covariance, links.rates[::PARTS, 0][seen], links.before[seen]))
-        return MagneticReadings(*map(np.concatenate, zip(*parts, strict=True))) if parts else None
+            valid = links.magnetic
+            covariance = np.broadcast_to(links.magnetometer_variance * np.eye(3), (valid.sum(), 3, 3))
+            rates = links.rates[::PARTS, 0][valid]
+            readings.append((links.magnetometer[valid], covariance, rates, links.before[valid]))
+        return MagneticReadings(*map(np.concatenate, zip(*readings, strict=True))) if readings else None
 
     @property
     def sensors(self) -> int:
@@ -404,7 +404,7 @@ class Problem:
         return sum(block.size for block in self.instrument.blocks)
 
     @cached_property
-    def lags(self) -> dict[str, int]:
+    def lag_places(self) -> dict[str, int]:
         """Places of the thermometer lags among the parameters, by kind of sensor."""
         members = self.instrument.members
         return {kind: members[f"{kind}.lag"].start for kind in KINDS if f"{kind}.lag" in members}
@@ -419,18 +419,18 @@ class Problem:
         """Return the problem with other prior standard deviations (1 + m,) and (q,)."""
         return self._changed(prior_u=prior_u, local_u=local_u)
 
-    def with_lags(self, values: Array) -> Problem:
-        """Return the problem with the lags held at those among the parameters `values` (m,)."""
-        mean, at = self.prior_mean.copy(), list(self.lags.values())
-        mean[1:][at] = values[at]
+    def with_held_lags(self, values: Array) -> Problem:
+        """Return the problem whose priors hold the lags at those among the parameters `values` (m,)."""
+        mean, places = self.prior_mean.copy(), list(self.lag_places.values())
+        mean[1:][places] = values[places]
         return self._changed(prior_mean=mean)
 
-    def with_lags_at(self, point: Point) -> Problem:
-        """Return the problem with the sensor temperatures that follow from the lags at a point."""
-        lags = {kind: float(point.values[at]) for kind, at in self.lags.items()}
-        if lags == self.at_lags:
+    def with_lagged_temperatures(self, point: Point) -> Problem:
+        """Return the problem with the sensor temperatures at the lags of a point."""
+        lags = {kind: float(point.values[place]) for kind, place in self.lag_places.items()}
+        if lags == self.temperature_lags:
             return self
-        out = self._changed(at_lags=lags)
+        out = self._changed(temperature_lags=lags)
         for depending in ("variables", "regressors"):
             vars(out).pop(depending, None)
         return out
@@ -438,7 +438,7 @@ class Problem:
     @cached_property
     def variables(self) -> Variables:
         """The variables with which parameters change."""
-        return variables_of(self.observations, self.at_lags)
+        return variables_of(self.observations, self.temperature_lags)
 
     @cached_property
     def change_columns(self) -> tuple[IntArray, IntArray]:
@@ -473,7 +473,7 @@ class Problem:
         """Return the values (K, c) of the changes in the sessions of stations (K,)."""
         common = np.broadcast_to(point.values, (len(point.local), len(point.values)))
         every = np.concatenate([common, point.local], axis=1)
-        return np.asarray(every[:, self.change_columns[0]][self.session[stations]])
+        return np.asarray(every[:, self.change_columns[0]][self.session_of_station[stations]])
 
     @cached_property
     def noise(self) -> NoiseModel:
@@ -513,7 +513,7 @@ class Problem:
         return slice(first, first + self.sensors)
 
     @property
-    def of_station(self) -> int:
+    def station_columns(self) -> int:
         """Number of columns of rows for the unknowns of a station."""
         return int(self.bias_columns.stop) + 3 * self.moves
 
@@ -524,7 +524,7 @@ class Problem:
         three displacements of a moving device; then, at the end, the parameters of the session, gravity, the common
         parameters, and the residual, observed less predicted."""
         shared = len(self.local_u) + len(self.instrument.names) + 2
-        return np.zeros((len(self.first[kind]), rows, STATIONS[kind] * self.of_station + shared))
+        return np.zeros((len(self.first_station[kind]), rows, STATIONS[kind] * self.station_columns + shared))
 
     def coefficient_changes(self, point: Point) -> Array | None:
         """Return the changes (K, n, 15) of the coefficients in the turns by time, temperature or launch.
@@ -533,7 +533,7 @@ class Problem:
         if not self.changes:
             return None
         D = self.instrument.linearised(point.values)[1][:, :, self.change_columns[1]]
-        change = self.with_lags_at(point).regressors[1] * self.change_values(point, self.before_turn)
+        change = self.with_lagged_temperatures(point).regressors[1] * self.change_values(point, self.before_turn)
         return np.asarray(change @ D.reshape(-1, D.shape[2]).T).reshape(len(change), *D.shape[:2])
 
     @cached_property
@@ -575,8 +575,8 @@ def unknown_earth_variance(problem: Problem) -> float:
 
 def _constant_noise(problem: Problem) -> NoiseModel:
     """Return the noise of all rows but links, without the errors of velocity by errors of rotation."""
-    observations, rests, earth = problem.observations, problem.observations.rests, unknown_earth_variance(problem)
-    N, gyro, links = len(rests), observations.gyro_block, observations.links
+    observations, rests, links = problem.observations, problem.observations.rests, problem.observations.links
+    gyro, earth = observations.gyro_block, unknown_earth_variance(problem)
     rows = {"accel": _noise_at_stations("accel", {"accel.noise": rests.accel_covariance})}
     if problem.instrument.gyro is not None and gyro is not None:
         sources = {"gyro.noise": rests.gyro_covariance}
@@ -584,16 +584,20 @@ def _constant_noise(problem: Problem) -> NoiseModel:
             sources["earth"] = np.broadcast_to(earth * gyro.axes @ gyro.axes.T, rests.gyro_covariance.shape)
         rows["gyro"] = _noise_at_stations("gyro", sources)
     if problem.prior.attitude is not None:
-        attitude = np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (N, 3, 3))
+        attitude = np.broadcast_to(problem.prior.attitude**2 * np.eye(3), (len(rests), 3, 3))
         rows["attitude"] = _noise_at_stations("attitude", {"attitude": attitude})
     if problem.magnetometer is not None and problem.magnetic is not None:
         least = (LEAST_FIELD * problem.magnetometer.field) ** 2 * np.eye(3)
         rows["mag"] = _noise_at_stations("mag", {"mag.noise": problem.magnetic.covariance + least})
     rows["turn"] = _noise_of_turns(problem)
 
-    file, time = (rests.file, 0.5 * (rests.start + rests.stop)) if links is None else (links.file, links.time)
+    # processes of the biases, within a file, and of the displacements, over free links
+    if links is None:
+        file, time = rests.file, 0.5 * (rests.start + rests.stop)
+    else:
+        file, time = links.file, links.time
     follows = np.ones(len(time), dtype=bool)
-    follows[[part.stations.stop - 1 for part in problem.parts]] = False
+    follows[[part.stations.stop - 1 for part in problem.session_spans]] = False
     interval = np.full((len(time), problem.sensors + 3 * problem.moves), np.inf)
     interval[:-1, : problem.sensors] = np.where(file[1:] == file[:-1], np.abs(np.diff(time)), np.inf)[:, None]
     if links is not None:
@@ -607,9 +611,9 @@ def _constant_noise(problem: Problem) -> NoiseModel:
 
 
 def _noise_at_stations(kind: str, sources: Mapping[str, Array]) -> RowNoise:
-    """Return the noise of rows with a component of variance of this name, if there is one, that is alike in each."""
+    """Return the noise of rows of a kind, with the component of variance of its name, if any, in each of the r rows."""
     K, r, _ = next(iter(sources.values())).shape
-    component = np.full(r if kind in SCATTER else 0, SCATTER.index(kind) if kind in SCATTER else 0)
+    component = np.full(r, SCATTER.index(kind)) if kind in SCATTER else np.zeros(0, dtype=int)
     directions = np.broadcast_to(np.eye(r, len(component)), (K, r, len(component)))
     return RowNoise(sources=sources, directions=directions, component=component, weight=np.ones(K))
 
@@ -617,8 +621,8 @@ def _noise_at_stations(kind: str, sources: Mapping[str, Array]) -> RowNoise:
 def _noise_of_turns(problem: Problem) -> RowNoise:
     """Return the noise of turns without the errors of velocity by errors of rotation."""
     turns, readings, gyro = problem.observations.turns, problem.observations.turn_readings, problem.instrument.gyro
-    K, t, v, earth = len(problem.before_turn), problem.rows_of_turn, 3 if problem.instrument.in_velocities else 0, 0.0
-    spare = t - v - 3
+    K, t, v = len(problem.before_turn), problem.rows_of_turn, 3 if problem.instrument.in_velocities else 0
+    spare, earth = t - v - 3, unknown_earth_variance(problem)
     sources = {"turn.gyro.noise": np.zeros((K, t, t))}
     component = np.repeat([SCATTER.index(name) for name in OF_TURNS], [3, v, spare, v, spare, 3])
     Z = np.zeros((K, t, len(component)))
@@ -630,7 +634,7 @@ def _noise_of_turns(problem: Problem) -> RowNoise:
         if v:
             sources["turn.accel.noise"] = np.zeros((K, t, t))
             sources["turn.accel.noise"][:, 3:6, 3:6] = turns.velocity_covariance
-        if (earth := unknown_earth_variance(problem)) > 0.0:
+        if earth > 0.0:
             sources["earth"] = np.zeros((K, t, t))
             sources["earth"][:, :3, :3] = turns.duration[:, None, None] ** 2 * earth * np.eye(3)
         jumps, aliased = np.sqrt(turns.jumps)[:, None, None], np.sqrt(turns.aliased)[:, None, None]
@@ -652,11 +656,11 @@ def with_errors_of_velocity(problem: Problem, rows: RowNoise, gained: Array) -> 
         return rows
     X, Z, sources = skew(-0.5 * gained), rows.directions.copy(), dict(rows.sources)
     Xt = np.swapaxes(X, 1, 2)
-    for name, share in (("turn.gyro.noise", turns.arising), ("earth", np.ones(len(turns)))):
+    for name, ratio in (("turn.gyro.noise", turns.moment_ratio), ("earth", np.ones(len(turns)))):
         if name in sources:
             covariance = sources[name] = sources[name].copy()
             rotation = covariance[:, :3, :3]
             covariance[:, 3:6, :3], covariance[:, :3, 3:6] = X @ rotation, rotation @ Xt
-            covariance[:, 3:6, 3:6] = share[:, None, None] * (X @ rotation @ Xt)
+            covariance[:, 3:6, 3:6] = ratio[:, None, None] * (X @ rotation @ Xt)
     Z[:, 3:6, -3:] = X @ Z[:, :3, -3:]
     return replace(rows, sources=sources, directions=Z)

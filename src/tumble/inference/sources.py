@@ -82,6 +82,11 @@ class UncertaintyBudget:
         covariances = np.concatenate([self.covariances, covariance[None]])
         return UncertaintyBudget(sources=(*self.sources, source), covariances=covariances)
 
+    def variances_from(self, name: str) -> Array:
+        """Return the variances (m,) of the parameters from the sources with a name; zero without any."""
+        rows = [i for i, each in enumerate(self.sources) if each.name == name]
+        return np.asarray(np.diagonal(self.covariances[rows], axis1=1, axis2=2).sum(axis=0))
+
 
 def source(name: str, u: float | None = None, unit: str = "", dof: float | None = None) -> Source:
     """Return the source with a name in `sources.toml`, or that of the prior of a group."""

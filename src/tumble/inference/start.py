@@ -35,13 +35,13 @@ def initial_linearisation(problem: Problem) -> Linearisation:
         return _initial_motion(problem, values)
     force = problem.accel_model(values).apply(observations.rests.accel)
     vertical = unit_vector(force)
-    about = None
+    integrated = None
     if instrument.gyro is not None:
-        about, values[instrument.own(instrument.gyro)] = _initial_gyros(problem, values, vertical)
-    attitudes = headings(problem, vertical, values, about)
-    local = np.zeros((len(problem.parts), len(problem.local_u)))
+        integrated, values[instrument.own(instrument.gyro)] = _initial_gyros(problem, values, vertical)
+    attitudes = headings(problem, vertical, values, integrated)
+    local = np.zeros((len(problem.session_spans), len(problem.local_u)))
     point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes, local=local)
-    return linearise(problem, point, about)
+    return linearise(problem, point, integrated)
 
 
 def _initial_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[IntegratedTurns | None, Array]:
@@ -56,11 +56,11 @@ def _initial_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[In
     turns = observations.turns
     if turns is None:
         return None, values[places]
-    about = IntegratedTurns.of(observations, instrument, values)
-    derivative = np.einsum("ap,pqm->aqm", about.to_rate, block.jacobian(values[places]))
-    by_turn = about.rows(instrument, values, instrument.linearised(values))[:, :3, places]
-    back = np.einsum("kij,kj->ki", about.C, vertical[turns.last])
-    rate = (observations.rests.gyro - median) @ about.to_rate.T
+    integrated = IntegratedTurns.of(observations, instrument, values)
+    derivative = np.einsum("ap,pqm->aqm", integrated.to_rate, block.jacobian(values[places]))
+    by_turn = integrated.rows(instrument, values, instrument.linearised(values))[:, :3, places]
+    back = np.einsum("kij,kj->ki", integrated.C, vertical[turns.last])
+    rate = (observations.rests.gyro - median) @ integrated.to_rate.T
     rough = max(EARTH_RATE, ROUGH_DRIFT * float(np.abs(rate).max()))
     by_rest = np.einsum("aqm,iq->iam", derivative[:, :3], up * vertical) + derivative[:, 3]
     count = by_turn.shape[2]
@@ -75,20 +75,20 @@ def _initial_gyros(problem: Problem, values: Array, vertical: Array) -> tuple[In
         np.zeros(count),
     ])  # fmt: skip
     values[places] += np.linalg.solve(jacobian.T @ jacobian, jacobian.T @ residual)
-    near = bool(np.all(about.second_order(about.gyro_offset(instrument, values))[0] < ROUGH_EFFECT))
-    return (about if near else IntegratedTurns.of(observations, instrument, values)), values[places]
+    near = bool(np.all(integrated.second_order(integrated.gyro_offset(instrument, values))[0] < ROUGH_EFFECT))
+    return (integrated if near else IntegratedTurns.of(observations, instrument, values)), values[places]
 
 
-def headings(problem: Problem, vertical: Array, values: Array, about: IntegratedTurns | None) -> Array:
+def headings(problem: Problem, vertical: Array, values: Array, integrated: IntegratedTurns | None) -> Array:
     """Return attitudes (N, 3, 3) with these verticals, each chain rotated to the Earth's rate.
 
     With N', E' the axes of a chain of arbitrary heading, carried along by the turns, the rates at rest are
     ω − Ω_U u = δ + a N' + s E': linear in the error δ of the gyros, and in a and s of each chain."""
     observations, turns = problem.observations, problem.observations.turns
-    if about is None or turns is None:
+    if integrated is None or turns is None:
         attitudes = carried_attitudes(problem, vertical, np.zeros(0, dtype=np.int64), np.zeros((0, 3, 3)), np.zeros(0))
     else:
-        attitudes = carried_attitudes(problem, vertical, turns.first, about.C, turns.duration)
+        attitudes = carried_attitudes(problem, vertical, turns.first, integrated.C, turns.duration)
     if observations.gyro_block is None or problem.earth[0] == 0.0:
         return attitudes
     rate = problem.gyro_model(values).apply(observations.rests.gyro) - problem.earth[1] * vertical
@@ -140,26 +140,28 @@ def _initial_motion(problem: Problem, values: Array) -> Linearisation:
     block, chain, station = instrument.gyro, problem.chain, np.arange(M)
     assert block is not None
     places = instrument.own(block)
-    first, last = np.searchsorted(chain, chain), np.searchsorted(chain, chain, side="right") - 1
-    low, high = np.maximum(station - WINDOW, first), np.minimum(station + WINDOW, last)
+
+    # both ends of the window of each station within its chain, and pairs of stations of a chain 2 WINDOW apart
+    low = np.maximum(station - WINDOW, np.searchsorted(chain, chain))
+    high = np.minimum(station + WINDOW, np.searchsorted(chain, chain, side="right") - 1)
     here = station[: max(M - 2 * WINDOW, 0)]
     here = here[chain[here] == chain[here + 2 * WINDOW]]
     there = here + 2 * WINDOW
     for _ in range(2):
         C, V, T = _transitions(problem, IntegratedTurns.of(observations, instrument, values))
-        A = np.array(list(accumulate(C[:-1], np.matmul, initial=np.eye(3))))
-        gained = np.concatenate([np.zeros((1, 3)), np.cumsum((A @ V[:, :, None])[:, :, 0], axis=0)])
-        vertical = unit_vector((np.swapaxes(A, 1, 2) @ (gained[high] - gained[low])[:, :, None])[:, :, 0] + 1e-12 * UP)
+        A = np.array(list(accumulate(C[:-1], np.matmul, initial=np.eye(3))))  # body → axes of the first station
+        At = np.swapaxes(A, 1, 2)
+        velocity = np.concatenate([np.zeros((1, 3)), np.cumsum((A @ V[:, :, None])[:, :, 0], axis=0)])
+        vertical = unit_vector((At @ (velocity[high] - velocity[low])[:, :, None])[:, :, 0] + 1e-12 * UP)
         vertical[problem.station] = unit_vector(problem.accel_model(values).apply(observations.rests.accel))
-        swept = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(T[:, None, None] * A, axis=0)])
-        to_body = np.swapaxes(A[here], 1, 2)
-        back = (to_body @ A[there] @ vertical[there][:, :, None])[:, :, 0]
-        rows = skew(back) @ to_body @ (swept[there] - swept[here])
+        integral = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(T[:, None, None] * A, axis=0)])  # ∫ A dt
+        carried_back = (At[here] @ A[there] @ vertical[there][:, :, None])[:, :, 0]
+        rows = skew(carried_back) @ At[here] @ (integral[there] - integral[here])
         if len(rows):
-            bias = np.linalg.lstsq(rows.reshape(-1, 3), (vertical[here] - back).ravel(), rcond=1e-6)[0]
+            bias = np.linalg.lstsq(rows.reshape(-1, 3), (vertical[here] - carried_back).ravel(), rcond=1e-6)[0]
             values[places][: block.size] += (block.axes @ bias)[block.channels]
-    about = IntegratedTurns.of(observations, instrument, values)
-    C, _, T = _transitions(problem, about)
+    integrated = IntegratedTurns.of(observations, instrument, values)
+    C, _, T = _transitions(problem, integrated)
     before = np.flatnonzero(chain[:-1] == chain[1:])
     point = Point(
         values=values,
@@ -170,11 +172,11 @@ def _initial_motion(problem: Problem, values: Array) -> Linearisation:
         displacements=np.zeros((M, 3)),
     )
     if problem.earth[0] != 0.0:
-        point = _turned_to_north(problem, point, about)
-    return linearise(problem, point, about)
+        point = _turned_to_north(problem, point, integrated)
+    return linearise(problem, point, integrated)
 
 
-def _turned_to_north(problem: Problem, point: Point, about: IntegratedTurns) -> Point:
+def _turned_to_north(problem: Problem, point: Point, integrated: IntegratedTurns) -> Point:
     """Return the point with the heading of each chain by the horizontal Earth's rate observed in motion.
 
     Heading steps of a linear solution, which are too short from far off, are proportional to sin e for an error e of
@@ -187,24 +189,24 @@ def _turned_to_north(problem: Problem, point: Point, about: IntegratedTurns) -> 
     steps = list[Array]()
     for quarters in range(2):
         rotated = turned(np.full(chain[-1] + 1, 0.5 * np.pi * quarters))
-        angles = solve(linearise(problem, rotated, about)).angles[:, 2]
+        angles = solve(linearise(problem, rotated, integrated)).angles[:, 2]
         steps.append(np.bincount(chain, angles) / np.bincount(chain))
     return turned(np.arctan2(steps[0], -steps[1]))
 
 
-def _transitions(problem: Problem, about: IntegratedTurns) -> tuple[Array, Array, Array]:
+def _transitions(problem: Problem, integrated: IntegratedTurns) -> tuple[Array, Array, Array]:
     """Return rotations (M, 3, 3), velocities (M, 3) and durations (M,) from each station to the next; 1 and 0 if
     none."""
     links, turns, M = problem.observations.links, problem.observations.turns, len(problem.chain)
     assert links is not None
-    assert about.links is not None
+    assert integrated.links is not None
     C, V, T = np.tile(np.eye(3), (M, 1, 1)), np.zeros((M, 3)), np.zeros(M)
-    parts = (x.reshape(len(links), PARTS, *x.shape[1:]) for x in (about.links.C, about.links.moments.V))
+    parts = (x.reshape(len(links), PARTS, *x.shape[1:]) for x in (integrated.links.C, integrated.links.moments.V))
     for part_C, part_V in zip(*(np.swapaxes(x, 0, 1) for x in parts), strict=True):
         V[links.before] += (C[links.before] @ part_V[:, :, None])[:, :, 0]
         C[links.before] = C[links.before] @ part_C
     T[links.before] = links.duration
     if turns is not None and len(turns):
-        C[problem.before_turn], V[problem.before_turn] = about.C, about.moments.V
+        C[problem.before_turn], V[problem.before_turn] = integrated.C, integrated.moments.V
         T[problem.before_turn] = turns.duration
     return C, V, T

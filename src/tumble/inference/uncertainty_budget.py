@@ -4,25 +4,23 @@ At given hyperparameters the estimate is linear in all random quantities: noise 
 variance, steps of in-run biases, and priors. With the whitened rows W J of all of these, of unit covariance, and y the
 gravity and the parameters, biases being the means over the session, a least-squares estimate has
 
-    y − ŷ = Σ_rows Kᵀ e,   K = W J Z,   Z = Cov(unknowns, y),   C_y = Σ_rows Kᵀ K                                 (37)
+    ŷ − y = Σ_rows Kᵀ e,   K = W J Z,   Z = Cov(unknowns, y),   C_y = Σ_rows Kᵀ K                                 (37)
 
 The covariance of a block of rows is a sum over sources, 1 = W (Σ_s S_s) Wᵀ, and so is C_y:
 
     C_y = Σ_s Σ_blocks Hᵀ S_s H,   H = Wᵀ K                                                                        (38)
 
-The sources of a block are the noise within rests and each component of variance along its directions. Steps of in-run
-biases are blocks of their own, and so are priors, with rows 1/u(g) of gravity and 1/s of a parameter. A row with a
-weight below 1 counts as one with more noise, in the same proportion from every source.
+A row with a weight below 1 counts as one with more noise, in the same proportion from every source. Priors are rows
+1/u(g) of gravity and 1/s of a parameter.
 
-Z needs no large matrix. The unknowns of the rests are a chain, δ_i = A_i δ_{i+1} + B_i x + a_i + R_i⁻¹ e_i, with x the
-parameters of the session, gravity and the common parameters, so that δ_i = M_i x + …, M_i = A_i M_{i+1} + B_i, and
-y = Y x + Σ_i c_i R_i⁻¹ e_i, with c_i from `tumble.inference.normal_equations.session_mean_bias`. Then
+Z (39) needs no large matrix. The unknowns of the rests are a chain, δ_i = A_i δ_{i+1} + B_i x + a_i + R_i⁻¹ e_i, with x
+the parameters of the session, gravity and the common parameters, so that δ_i = M_i x + …, M_i = A_i M_{i+1} + B_i, and
+y = Y x + Σ_i c_i R_i⁻¹ e_i, with c_i R_i⁻¹ from `tumble.inference.normal_equations.session_mean_bias`. Then
 
-    Z_x = Cov(x) Yᵀ,   Z_i = M_i Z_x + N_i,   N_i = A_i N_{i+1} + R_i⁻¹ (c_i R_i⁻¹)ᵀ                               (39)
+    Z_x = Cov(x) Yᵀ,   Z_i = M_i Z_x + N_i,   N_i = A_i N_{i+1} + R_i⁻¹ (c_i R_i⁻¹)ᵀ
 
-The covariance C integrated over the hyperparameters differs from C_max at the maximum. The sources S, whose sum is
-C_max, are then scaled to T S Tᵀ, with the symmetric T for which T C_max Tᵀ is C without the variance of the estimate
-over the hyperparameters (`scaled_to`), which is a source itself.
+If the hyperparameters are integrated over, the sources are scaled to the mean covariance over their points
+(`scaled_to`), and the covariance of the estimates at the points is a source itself.
 
 Source: JCGM 100:2008 (GUM), 5.1; EA-4/02 M:2022, section 4.
 """
@@ -56,7 +54,7 @@ def contributions(solution: Solution) -> dict[str, Array]:
         SK = K if SK is None else SK
         out[name] = out.get(name, 0.0) + K.reshape(-1, K.shape[-1]).T @ SK.reshape(-1, K.shape[-1])
 
-    for s, part in enumerate(problem.parts):
+    for s, part in enumerate(problem.session_spans):
         # Z (39); N is zero but for the biases
         Y, stations = np.eye(q + size)[q:], part.stations
         if mean is not None:
@@ -71,10 +69,8 @@ def contributions(solution: Solution) -> dict[str, Array]:
         # covariances by source (38)
         for kind, rows in equations.rows.items():
             block, of_kind = part.rows[kind], noise.rows[kind]
-            K, station = (
-                times(rows[block, :, STATIONS[kind] * d : -1], Z_x),
-                problem.first[kind][block] - stations.start,
-            )
+            K = times(rows[block, :, STATIONS[kind] * d : -1], Z_x)
+            station = problem.first_station[kind][block] - stations.start
             for e in range(STATIONS[kind]):
                 K += rows[block, :, e * d : (e + 1) * d] @ Z[station + e]
             H = np.swapaxes(equations.whitening[kind][block] / of_kind.root_weights[block, None], -1, -2) @ K

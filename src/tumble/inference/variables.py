@@ -74,7 +74,7 @@ def _temperature_regressors(observations: Observations, lag: float) -> dict[Vari
         _powers_of_temperature(warmth, reference) for warmth in _mean_temperatures(observations, kelvin, lag)
     )
     out = {name: (rest[name], turn[name], 2.0 * (after[name] - before[name]) / seconds) for name in rest}
-    if _range_within_session(observations) > LEVEL:  # enough for a lag to matter
+    if _range_within_session(observations) > LEVEL:  # enough for a lag to matter; its effect is in the temperatures
         out["lag"] = np.zeros_like(rest["temperature"]), *np.zeros((2, *turn["temperature"].shape))
     if not on_a_ramp(observations):
         del out["hysteresis"]

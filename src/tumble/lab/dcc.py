@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from math import floor, inf, log10
+from math import floor, log10
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,7 @@ from tumble.lab.conformity import DECISION_RULE, RISK_DEFINITION, Verdict, judge
 from tumble.lab.report import statement_of_priors
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
-from tumble.result.coverage import PROBABILITY, degrees_of_freedom
+from tumble.result.coverage import PROBABILITY
 from tumble.result.further import parameter_words
 from tumble.result.parts import Parameter, stated_factor
 from tumble.sensors.model import UNITS, WORDS, SensorKind, SensorModel
@@ -50,7 +50,7 @@ from tumble.views.report.result import contents_of_u, scope_of_u
 
 LOSSES = (
     "the file is neither signed nor sealed: sign it with the laboratory's tools",
-    "covariances, rests, turns, launches and iterations of the calibration have no place in this file",
+    "not in this file: covariances, rests, turns, launches and iterations of the calibration",
 )
 
 _UNITS = {"m": "metre", "s": "second", "rad": "radian", "K": "kelvin", "degC": "degreecelsius", "%": "percent"}
@@ -150,7 +150,7 @@ def _conditions(calibration: Calibration) -> list[dict[str, Any]]:
         name = "gravity at the place, the unit of the result" if site.gravity_is_unit else "local gravity"
         stated.insert(0, (name, "", site.gravity, site.gravity_u or None, "m/s^2"))
     return [
-        {"kind": kind, "name": name, "quantity": _real(value, u, unit, inf)}
+        {"kind": kind, "name": name, "quantity": _real(value, u, unit, None)}
         for name, kind, value, u, unit in stated
         if value is not None
     ]
@@ -189,13 +189,13 @@ def _parameter(parameter: Parameter, verdicts: Sequence[Verdict]) -> dict[str, A
     return {
         "name": parameter.name,
         "words": "; ".join(filter(None, (parameter_words(parameter.name), basis, *spread))),
-        "quantity": _real(parameter.value, parameter.u, parameter.unit, degrees_of_freedom(parameter)),
+        "quantity": _real(parameter.value, parameter.u, parameter.unit, parameter.dof),
         "statements": statements,
     }
 
 
-def _real(value: float, u: float | None, unit: str, degrees: float) -> dict[str, Any]:
-    """Return a value with its expanded uncertainty by the degrees of freedom; with u if these are too few for U."""
+def _real(value: float, u: float | None, unit: str, degrees: float | None) -> dict[str, Any]:
+    """Return a value with its expanded uncertainty by its degrees of freedom, None if u is known; with u if too few."""
     k, digits = stated_factor(degrees), 12
     if u and value != 0.0:  # the value is rounded to the last digit of its u
         digits = min(max(U_DIGITS + floor(log10(abs(value))) - floor(log10(u)), 1), digits)
@@ -205,7 +205,7 @@ def _real(value: float, u: float | None, unit: str, degrees: float) -> dict[str,
         "u": None if u is None else f"{u:.{U_DIGITS}g}",
         "U": None if u is None or k is None else f"{k * u:.{U_DIGITS}g}",
         "k": None if k is None else f"{k:.{U_DIGITS}g}",
-        "distribution": "normal" if np.isinf(degrees) else "Student's t",
+        "distribution": "normal" if degrees is None else "Student's t",
     }
 
 

@@ -245,6 +245,6 @@ def statement_of_priors(calibration: Calibration) -> str:
     if not clauses:
         return ""
     return (
-        "Part of u² (mean over the parameters of a group) is not measured, but what instruments of the kind usually "
-        f"have, {'; '.join(clauses)}."
+        "Part of u² is not from this recording but from the usual sizes of instruments of the kind (means over the "
+        f"parameters of a group), {'; '.join(clauses)}."
     )

@@ -170,27 +170,31 @@ def with_groups(
     group, SI, for each possible grade of the instrument."""
     names = dict.fromkeys(name for sizes in grades for name in sizes)
     usual = {name: float(np.sqrt(np.mean([sizes.get(name, 0.0) ** 2 for sizes in grades]))) for name in names}
-    rests, sigma = replace(observations, usual=usual), reading_sigmas(fit, observations)
-    problem, shift, L = omitted_by_rests(rests, fit.values, sigma)
+    sigma = reading_sigmas(fit, observations)
+    problem, shift, L = omitted_by_rests(replace(observations, usual=usual), fit.values, sigma)  # shift is A⁺ B
     full = with_omitted_groups(estimate, problem, shift, omitted_sizes(problem, None))
     instrument, first, k = problem.instrument, len(fit.values), L.shape[1]
+
+    # points of the sizes of the groups, for every grade
     groups = {group.name: instrument.members[group.name] for group in instrument.further}
     group_of_column = np.repeat(np.arange(len(groups)), [place.stop - place.start for place in groups.values()])
-    ratios = np.exp(np.maximum(normal_points(POINTS, len(groups)), 0.0) * np.log(STATED))
-    by_grade = [ratios * [sizes.get(name, 0.0) for name in groups] for sizes in grades]
+    λ = np.exp(np.maximum(normal_points(POINTS, len(groups)), 0.0) * np.log(STATED))
+    by_grade = [λ * [sizes.get(name, 0.0) for name in groups] for sizes in grades]
     S = np.concatenate(by_grade)[:, group_of_column]  # (points, k): λ √Σ
 
     # residuals in the directions that groups reach, and the sum of squares of the others
     directions, s, _ = np.linalg.svd(L, full_matrices=False)
     directions = directions[:, s > RELATIVE_RANK * s[0]]
     # a residual of the fit is a length of the true vector; e is of the reading along the vertical
-    normal = np.linalg.norm(fit.model.apply(observations.rests.accel), axis=1)
-    vertical = fit.model.apply(observations.rests.accel) / normal[:, None]
+    force = fit.model.apply(observations.rests.accel)
+    vertical = force / np.linalg.norm(force, axis=1)[:, None]
     e = fit.residual / np.linalg.norm(vertical @ fit.model.inverse(), axis=1) / sigma
-    q, reach = directions.T @ e, directions.T @ L
+    q = directions.T @ e
     other_squares, degrees = max(float(e @ e - q @ q), 0.0), fit.degrees - directions.shape[1]
+
+    # weights over sizes and noise, by the variances d of the residuals along the eigenvectors V of L λ² Σ Lᵀ
     c = NOISE_GRID * np.sqrt(float(e @ e) / fit.degrees) if fit.scatter > 0.0 else np.ones(1)
-    SL = S[:, :, None] * reach.T
+    SL = S[:, :, None] * (directions.T @ L).T
     value, V = np.linalg.eigh(np.swapaxes(SL, 1, 2) @ SL)
     d = np.maximum(value, 0.0)[:, None] + c[:, None] ** 2  # (points, noise, directions)
     z = np.einsum("pij,i->pj", V, q)[:, None]
@@ -205,7 +209,8 @@ def with_groups(
     # mean of the error at each point, and its covariance by source
     T = np.vstack([shift, -np.eye(k)])
     K = (T * S[:, None]) @ SL @ (V / d[:, None]) @ np.swapaxes(V, 1, 2)
-    mean, R = K @ q, T * S[:, None] - K @ np.swapaxes(SL, 1, 2)
+    mean = K @ q
+    R = T * S[:, None] - K @ np.swapaxes(SL, 1, 2)  # (T − K L) λ √Σ
     by_modulus = np.zeros((first + k, first + k))
     by_modulus[:first, :first] = np.outer(fit.by_modulus, fit.by_modulus)
     by_fit = -by_modulus
@@ -214,6 +219,8 @@ def with_groups(
     for name, place in groups.items():
         by_group = R[:, :, place.start - first : place.stop - first]
         sources[f"prior.{name}"] = np.einsum("j,jmg,jng->mn", weight, by_group, by_group)
+
+    # u about the mean of the errors, limited to half of the half width at 95.45 %; the values keep that mean as error
     centre = weight @ mean
     sources["hyperparameters"] = ((mean - centre).T * weight) @ (mean - centre)
     spread = np.sqrt(np.diag(sum(sources.values())))

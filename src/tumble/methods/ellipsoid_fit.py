@@ -20,6 +20,7 @@ ellipsoid fitting). The sign of its Eq. (13), b = A u0, is lost in print.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -215,6 +216,16 @@ class _Sphere:
         variance = np.einsum("ip,ipq,iq->i", normal, self.covariance, normal)
         return length - self.modulus, jacobian, variance, (normal**2).sum(axis=1)
 
+    def excess_chi_square(self, values: Array, used: BoolArray) -> tuple[Callable[[float], float], float]:
+        """Return χ² of the used residuals less its expectation, as a function of the scatter, and a first scatter."""
+        residual, _, variance, by_scatter = (each[used] for each in self.rows(values))
+        degrees = int(used.sum()) - 9
+
+        def excess(scatter: float) -> float:
+            return float((residual**2 / (variance + scatter**2 * by_scatter)).sum()) - degrees
+
+        return excess, float(np.sqrt(np.mean(residual**2 / by_scatter)))
+
     def whitened(self, values: Array, scatter: float) -> tuple[Array, Array, Array]:
         """Return whitened residuals (N,), minus their derivative (N, 9), and standard uncertainties (N,)."""
         residual, jacobian, variance, by_scatter = self.rows(values)
@@ -229,20 +240,16 @@ def _fit(sphere: _Sphere, used: BoolArray) -> EllipsoidFit | None:
     values, degrees = sphere.start(used), int(used.sum()) - 9
     if values is None:
         return None
-    spread, scatter, increments = SPREAD * np.repeat([sphere.modulus, 1.0, 1.0], 3), 0.0, [values]
-
-    def excess(scatter: float) -> float:
-        """Return χ² of the residuals with a scatter, less its expectation."""
-        return float((misses**2 / (variance + scatter**2 * by_scatter)).sum()) - degrees
-
+    spread = SPREAD * np.repeat([sphere.modulus, 1.0, 1.0], 3)
+    scatter, increments = 0.0, [values]
     for scatter_round in range(1 + SCATTER_ROUNDS):
-        if scatter_round:
-            misses, _, variance, by_scatter = (each[used] for each in sphere.rows(values))
+        if scatter_round:  # the first round is without scatter
+            excess, size = sphere.excess_chi_square(values, used)
             if scatter_round == 1 and not needs_scatter(excess(0.0) + degrees, degrees):
                 break
-            scatter = fit_scatter(excess, float(np.sqrt(np.mean(misses**2 / by_scatter))))
+            scatter = fit_scatter(excess, size)
         for _ in range(MAX_ITERATIONS):
-            residual, jacobian, sigma = sphere.whitened(values, scatter)
+            residual, jacobian, _ = sphere.whitened(values, scatter)
             solution = least_squares(jacobian[used], residual[used], spread)
             # far from the solution the linearisation is poor: no parameter moves by more than its spread
             increments.append(solution.step / max(1.0, float(np.max(np.abs(solution.step) / spread))))

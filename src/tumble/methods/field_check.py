@@ -29,7 +29,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import scipy
@@ -219,6 +218,9 @@ def changes_in(
 ) -> CheckResult:
     """Find the changes of parameters.
 
+    The parameter with the largest statistic gets a wide prior, until none is larger than chance makes it or there are
+    MOST_CHANGES. `CheckResult.tests`, `largest` and `limit` are those before the first change.
+
     Parameters
     ----------
     evidence_with
@@ -230,10 +232,9 @@ def changes_in(
     already
         Changes found before, whose parameters are not tested.
     """
-    names, m, limits = instrument.names, len(instrument.names), limits_of(instrument.names)
-    linear_names = names[: instrument.linear_count]
-    untested, linear_groups = [names.index(change.name) for change in already], positions_by_group(linear_names)
-    free, others, probabilities, first = list[int](), list[dict[str, float]](), list[float](), dict[str, Any]()
+    names, m, linear = instrument.names, len(instrument.names), instrument.linear_count
+    limits, untested = limits_of(names), [names.index(change.name) for change in already]
+    free, others, probabilities = list[int](), list[dict[str, float]](), list[float]()
     while True:
         evidence = evidence_with(free)
         free_variance = np.zeros(evidence.G.shape[1])
@@ -242,18 +243,14 @@ def changes_in(
         G = updated[:, 1 : 1 + m]
         size, t, inverse_degrees = change_statistics(updated, z, np.eye(updated.shape[1])[:, 1 : 1 + m], covariance_u)
         u = 1.0 / size
-        determined = u[: instrument.linear_count] < limits[: instrument.linear_count] / DETERMINED
+        determined = u[:linear] < limits[:linear] / DETERMINED
         determined[[*free, *untested]] = False
-        candidates, limit = np.flatnonzero(determined), np.inf
-        if len(candidates):
-            lower = np.linalg.qr(G[:, candidates] * u[candidates], mode="r")
-            normal = _normal_numbers(len(lower) + 1)
-            ninth = 2.0 / 9.0 * inverse_degrees[candidates]  # √(ν/χ²_ν) from a normal number (Wilson & Hilferty)
-            factor = np.maximum(1.0 - ninth + np.sqrt(ninth) * normal[:, -1:], LEAST_ROOT) ** -1.5
-            limit = float(np.quantile((np.abs(normal[:, :-1] @ lower) * factor).max(axis=1), 1.0 - CHANCE))
+        candidates = np.flatnonzero(determined)
+        limit = _largest_by_chance(G[:, candidates] * u[candidates], inverse_degrees[candidates])
         largest = float(np.abs(t[candidates]).max(initial=0.0))
-        first = first or {
-            "tests": {
+        if not free:
+            first_largest, first_limit, seen = largest, limit, {group_name(names[j]) for j in candidates}
+            tests = {
                 names[j]: ParameterTest(
                     name=names[j],
                     unit=instrument.units[j],
@@ -262,13 +259,7 @@ def changes_in(
                     detectable=float((limit + scipy.special.ndtri(POWER)) * u[j]),
                 )
                 for j in candidates
-            },
-            "largest": largest,
-            "limit": limit,
-            "unseen": tuple(
-                group for group in linear_groups if group not in {group_name(names[j]) for j in candidates}
-            ),
-        }
+            }
         if largest <= limit or len(free) + len(untested) >= MOST_CHANGES:
             break
         worst = int(candidates[np.abs(t[candidates]).argmax()])
@@ -282,18 +273,17 @@ def changes_in(
     Q, triangle = np.linalg.qr(evidence.G[:, [1 + j for j in free]])
     inverse, explained = np.linalg.inv(triangle), Q.T @ evidence.z
     together, together_u = inverse @ explained, np.sqrt((inverse**2).sum(axis=1))
+    changes = [
+        ChangedParameter(name=names[j], unit=instrument.units[j], value=float(a), u=float(a_u), probability=p, others=o)
+        for j, a, a_u, p, o in zip(free, together, together_u, probabilities, others, strict=True)
+    ]
     shift = evidence.by_x @ gain
     return CheckResult(
-        **first,
-        changes=(
-            *already,
-            *(
-                ChangedParameter(
-                    name=names[j], unit=instrument.units[j], value=float(a), u=float(a_u), probability=p, others=alike
-                )
-                for j, a, a_u, p, alike in zip(free, together, together_u, probabilities, others, strict=True)
-            ),
-        ),
+        changes=(*already, *changes),
+        tests=tests,
+        largest=first_largest,
+        limit=first_limit,
+        unseen=tuple(group for group in positions_by_group(names[:linear]) if group not in seen),
         misfit=Fit(
             chi_square=evidence.squares + float(evidence.z @ evidence.z - explained @ explained),
             degrees=float(evidence.degrees - len(free)),
@@ -324,23 +314,38 @@ def session_information(
     instrument, turns, values = prior.instrument, observations.turns, prior.values
     start = dict(zip(instrument.names, values.tolist(), strict=True))
     problem = Problem.of(replace(observations, start=start), Prior(covariance=covariance), instrument=instrument)
-    about = None if turns is None or not len(turns) else IntegratedTurns.of(observations, instrument, values)
+    integrated = None if turns is None or not len(turns) else IntegratedTurns.of(observations, instrument, values)
     vertical = unit_vector(specific_force(instrument, values, observations.rests.accel))
-    attitudes = headings(problem, vertical, values, about)
+    attitudes = headings(problem, vertical, values, integrated)
     point = Point(values=values, gravity=observations.site.gravity, attitudes=attitudes)
     for _ in range(MAX_ITERATIONS):
-        step = solve(linearise(problem, point, about, prior.components))
-        there, change = take_step(step)
-        near = reintegrated_turns(problem, there, about)
-        if near is about and np.all(np.abs(change) <= CONVERGED * np.sqrt(np.diag(step.covariance)[1:])):
+        solution = solve(linearise(problem, point, integrated, prior.components))
+        next_point, change = take_step(solution)
+        reintegrated = reintegrated_turns(problem, next_point, integrated)
+        small = np.all(np.abs(change) <= CONVERGED * np.sqrt(np.diag(solution.covariance)[1:]))
+        if small and reintegrated is integrated:
             break
-        point, about = there, near
-    equations = eliminate_rests(linearise(problem, point, about, prior.components))
-    session, off = equations.session_factors[0], np.append(point.gravity, point.values) - problem.prior_mean
+        point, integrated = next_point, reintegrated
+    equations = eliminate_rests(linearise(problem, point, integrated, prior.components))
+    triangle, off = equations.session_factors[0], np.append(point.gravity, point.values) - problem.prior_mean
+    R, right = triangle[:-1, :-1], triangle[:-1, -1]
     angles = int(np.count_nonzero(np.diagonal(equations.rest_factors, axis1=1, axis2=2)[:, :3]))
-    R = session[:-1, :-1]
     degrees = sum(each.shape[0] * each.shape[1] for each in equations.rows.values()) - angles
-    return R, session[:-1, -1] + R @ off, session[-1, -1] ** 2, degrees
+    return R, right + R @ off, triangle[-1, -1] ** 2, degrees
+
+
+def _largest_by_chance(effects: Array, inverse_degrees: Array) -> float:
+    """Return the quantile of the largest of Student's t numbers |t| that is exceeded with the probability CHANCE.
+
+    They are correlated as the columns of `effects` (p, q), of unit length, with these inverse degrees of freedom (q,).
+    Infinite without any."""
+    if not len(inverse_degrees):
+        return np.inf
+    triangle = np.linalg.qr(effects, mode="r")
+    normal = _normal_numbers(len(triangle) + 1)
+    ninth = 2.0 / 9.0 * inverse_degrees  # √(ν/χ²_ν) from a normal number (Wilson & Hilferty)
+    factor = np.maximum(1.0 - ninth + np.sqrt(ninth) * normal[:, -1:], LEAST_ROOT) ** -1.5
+    return float(np.quantile((np.abs(normal[:, :-1] @ triangle) * factor).max(axis=1), 1.0 - CHANCE))
 
 
 @cache

@@ -116,9 +116,8 @@ class RestChain:
 
         # x: parameters, in-run biases, slow changes; time constants and stationary variances of each
         kinds = [sensor_kind(names[i]) for i in biases]
-        in_run, in_run_time = (
-            np.array([getattr(components, f"{kind}_{what}") for kind in kinds]) for what in ("in_run", "time")
-        )
+        in_run = np.array([getattr(components, f"{kind}_in_run") for kind in kinds])
+        in_run_time = np.array([getattr(components, f"{kind}_time") for kind in kinds])
         rate = np.array([drift.get(f"{group_name(name)}.drift", 0.0) for name in names[:linear]]) ** 2 * HOUR
         slow = np.where(rate > 0.0, prior.turned_on[1 : 1 + linear], 0.0)
         slow_time = np.maximum(2.0 * slow / np.where(rate > 0.0, rate, np.inf), 1.0)
@@ -133,9 +132,9 @@ class RestChain:
         back = np.linalg.inv(prior.to_temperature)
         calibrated = back @ prior.calibrated @ back.T
         n = len(self._stationary)
-        rest = np.zeros((n - 1 - m,) * 2)
-        self._P = block_diag(calibrated, rest) + np.diag(self._stationary)
-        self._D = block_diag(prior.u_of_calibrated(calibrated), rest) + np.diag(self._stationary_u)
+        not_calibrated = np.zeros((n - 1 - m,) * 2)
+        self._P = block_diag(calibrated, not_calibrated) + np.diag(self._stationary)
+        self._D = block_diag(prior.u_of_calibrated(calibrated), not_calibrated) + np.diag(self._stationary_u)
         self._calibrated_u, self._values = self._D[: 1 + m, : 1 + m], back[1:, 1:] @ prior.values
         self._x, self._Phi = np.zeros(n), np.eye(n)
         self._information, self._score = np.zeros((n, n)), np.zeros(n)

@@ -136,7 +136,7 @@ def white_turns(first: IntArray, T: Array, covariance: Array, velocity_variance:
         M=np.zeros((K, 3, 3, 3)),
         B=np.zeros((K, 3, 3)),
         covariance=covariance,
-        arising=np.full(K, WHITE),
+        moment_ratio=np.full(K, WHITE),
         velocity_covariance=velocity_variance[:, None, None] * np.eye(3),
         jumps=np.zeros(K),
         aliased=np.zeros(K),

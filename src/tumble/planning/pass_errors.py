@@ -42,6 +42,7 @@ from tumble.inference.noise import CORRELATION_TIME
 from tumble.methods.paper.blocks import TRIAD, model_of
 from tumble.methods.paper.four_stages import (
     GYRO_TRIAD,
+    LARGEST_AZIMUTH,
     SCALAR,
     SEQUENTIAL,
     PaperMethod,
@@ -49,15 +50,16 @@ from tumble.methods.paper.four_stages import (
     course_of_programme,
     one_pass,
     shift_by_groups,
+    weak_north,
 )
 from tumble.methods.paper.gyros import axes_and_angles, known_turns
-from tumble.planning.bounds import linearised_course
+from tumble.planning.bounds import CLOCK, GRAVITY, linearised_course
 from tumble.planning.itinerary import itinerary_of
 from tumble.planning.setup import GROUPS, MEMBERS, NAMES, Setup, check_setup
 from tumble.rotation import rotation_matrix, rotation_vector_near
 from tumble.sensors.grades import GRADES
 from tumble.sensors.model import ACCEL_ANGLES, PERFECT_TRIAD, SensorModel, triad_parameters
-from tumble.units import DEGREE_PER_HOUR, Array, IntArray
+from tumble.units import Array, IntArray
 
 MethodOfPaper = Literal["sequential", "scalar"]
 METHODS_OF_PAPER: tuple[MethodOfPaper, ...] = ("sequential", "scalar")
@@ -74,9 +76,6 @@ _OF_ACCELEROMETERS: Mapping[MethodOfPaper, tuple[str, ...]] = {
     "scalar": ("scalar, estimated orientation, Eq. (13)",) * 3,
 }
 _OF_GYROS = ("vertical axes, Eq. (18)", *("indirect, programme matrix",) * 2)
-LARGEST_AZIMUTH = 0.1
-"""Largest azimuth error of TRIAD, rad, for formulas of first order in it; the paper requires biases an order of
-magnitude below the Earth's rate as well."""
 REST_NOISE = ("accelerometer noise at rest", "gyro noise at rest")  # sources that longer rests reduce
 
 
@@ -268,8 +267,7 @@ def remarks(setup: Setup) -> Iterator[str]:
     north = earth_rate(setup.latitude)[0]
     if rate > LARGEST_AZIMUTH * north:
         yield (
-            f"gyros off by {rate / DEGREE_PER_HOUR:.3g} °/h at rest, with {north / DEGREE_PER_HOUR:.3g} °/h of Earth's "
-            "rate to find north by: the methods sequential and scalar do worse in gyro parameters than predicted, "
+            f"{weak_north(rate, north)}: the methods sequential and scalar do worse in gyro parameters than predicted, "
             "take joint"
         )
 
@@ -289,7 +287,8 @@ def _omitted_groups(setup: Setup, method: MethodOfPaper) -> dict[str, Array]:
 
 
 def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:
-    """Return the variances (21,) of the parameters by each source of noise, on an exact programme."""
+    """Return the variances (21,) of the parameters by each source of noise, by gravity and by the time base, on an
+    exact programme."""
     N, K, noise, g = len(plan.nominal), len(plan.first), setup.noise, setup.gravity
     rest, turn = np.eye(3 * N).reshape(3 * N, N, 3), np.eye(3 * K).reshape(3 * K, K, 3)
 
@@ -312,12 +311,13 @@ def _noise(setup: Setup, plan: PaperProgramme) -> dict[str, Array]:
     by_turn = gains(STEP, turned=turn) if K else np.zeros((0, len(NAMES)))
     between = 0.5 * (rest[:, plan.first] + rest[:, plan.first + 1])  # the bias in a turn: mean of those at its ends
     by_change = gains(STEP * EARTH_RATE, rate=rest, drift=between)
-    scale = np.isin(np.arange(len(NAMES)), MEMBERS["accel.scale"])
+    accel_scale, gyro_scale = (np.isin(np.arange(len(NAMES)), MEMBERS[f"{kind}.scale"]) for kind in ("accel", "gyro"))
     return {
         REST_NOISE[0]: (by_accel**2).sum(axis=0) * noise.accel_white**2 / setup.rest,
         REST_NOISE[1]: (by_gyro**2).sum(axis=0) * noise.gyro_white**2 / setup.rest,
         "gyro noise in turns": np.repeat(plan.course.duration, 3) @ by_turn**2 * noise.gyro_white**2,
         "accelerometer instability": by_in_run(by_accel, "accel.bias") * noise.accel_instability**2,
         "gyro instability": by_in_run(by_change, "gyro.bias") * noise.gyro_instability**2,
-        "uncertainty of gravity": scale * (setup.gravity_u / g) ** 2,
+        GRAVITY: accel_scale * (setup.gravity_u / g) ** 2,
+        CLOCK: gyro_scale * setup.clock_u**2,
     }

@@ -45,6 +45,14 @@ NEXT = 5  # next positions in a plan
 MOST_ADDED = 30  # positions that are added to a programme for a wanted accuracy
 LONGEST_REST = 3600.0  # s: that an operator waits for
 REST_SHARE = 0.25  # of the permitted variance for the noise of rests; the rest is for table and mounting
+_REMEDY: Mapping[str, str] = {
+    GRAVITY: "measure gravity",
+    CLOCK: "state how good the time base is (clock_ppm_u)",
+    "gyro noise in turns": "turn faster, or average launches",
+    "accelerometer instability": "average launches",
+    "gyro instability": "average launches",
+    "second order in the parameters": "take another pass",
+}  # of the largest source, where no set-up gives a wanted accuracy
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -107,10 +115,10 @@ class Plan(Brief):
         g, usual = self.setup.gravity, UNKNOWN_HEIGHT_GRAVITY_U
         return (
             *(() if self.motion is None else (self.motion.assumption,)),
-            f"the session states gravity to {1e6 * self.setup.gravity_u / g:.2g} ppm (--gravity-u); where it states "
-            f"neither gravity nor height, {1e6 * usual / g:.0f} ppm are in u of accel.scale",
-            f"its time base is known to {1e6 * self.setup.clock_u:.3g} ppm of gyro.scale (--clock-ppm-u); a sample "
-            f"rate without time stamps to {100.0 * USUAL_RATE_U:.0f} % unless that is stated",
+            f"gravity is taken as known to {1e6 * self.setup.gravity_u / g:.2g} ppm (--gravity-u); in a session that "
+            f"states neither gravity nor height, {1e6 * usual / g:.0f} ppm are in u of accel.scale",
+            f"the time base is taken as known to {1e6 * self.setup.clock_u:.3g} ppm, which are in u of gyro.scale "
+            f"(--clock-ppm-u); in a log without time stamps it is {100.0 * USUAL_RATE_U:.0f} % unless stated",
         )
 
     @property
@@ -388,22 +396,12 @@ def _joint_requirement(
         return replace(row, reason=f"{group}: this programme does not determine it; take another one")
     best = replace(setup, rest=longest)
     cause = next(each.largest for each in _groups_of(state(best), best) if each.group == group)
-    remedies = {GRAVITY: "measure gravity", CLOCK: "state how good the time base is (clock_ppm_u)"}
-    remedy = remedies.get(cause, "average launches, or take a better grade")
+    remedy = _REMEDY.get(cause, "average launches, or take a better grade")
     how = f"the method joint states with rests of {longest:.0f} s (mostly {cause}), and no {MOST_ADDED} more positions"
     return _impossible(row, tried[longest], f"{how} give", remedy)
 
 
 # The methods of the paper
-
-
-_REMEDY: Mapping[str, str] = {
-    "gyro noise in turns": "turn faster, or average launches",
-    "accelerometer instability": "average launches",
-    "gyro instability": "average launches",
-    "uncertainty of gravity": "measure gravity",
-    "second order in the parameters": "take another pass",
-}
 
 
 def _paper_requirement(planned: PlannedGroup, wanted: float, errors: PassErrors) -> Requirement:

@@ -109,9 +109,12 @@ class Log(Brief):
         if rows < 1:
             raise ValueError(f"rows: expected at least 1, found {rows}")
         self._gaps.clear()
+        spec = self.session.log
+        before = 2 if spec.time is None else 1  # columns for the number of a row, and for its time if it has none
         for file, (source, grid) in enumerate(zip(self._sources, self._grids, strict=True)):
-            rows_of_file = rows_as_written(source, self.session.log)
-            for chunk in samples_of(rows_of_file, source, self.session.log, file, grid, self._gaps):
+            tables = source.tables(spec.columns, spec.time if spec.clock else None)
+            as_written = ((side_by_side(table, spec.columns, before), unread) for table, unread in tables)
+            for chunk in samples_of(as_written, source, spec, file, grid, self._gaps):
                 for start in range(0, len(chunk.time), rows):
                     yield chunk.part(slice(start, start + rows))
 
@@ -129,12 +132,6 @@ class Log(Brief):
                 with readable(path), path.open("rb", buffering=0) as stream:
                     hashlib.file_digest(stream, lambda: digest)
         return digest.hexdigest()
-
-
-def rows_as_written(source: LogSource, spec: LogSpec) -> Tables:
-    """Yield the rows of a file with times as written, not numbered yet."""
-    for table, unread in source.tables(spec.columns, spec.time if spec.clock else None):
-        yield side_by_side(table, spec.columns, before=2 if spec.time is None else 1), unread
 
 
 def samples_of(
@@ -163,17 +160,6 @@ def samples_of(
 
 def open_log(session: Session) -> Log:
     """Open the log of a session, and check its files, their columns and their times.
-
-    >>> import numpy as np, tumble
-    >>> description = {
-    ...     "format": 1,
-    ...     "device": {"serial": "A-0007"},
-    ...     "log": {"rate_hz": 100.0, "accel": {"columns": ["ax", "ay", "az"], "unit": "g"}},
-    ... }
-    >>> still = {"ax": np.zeros(300), "ay": np.zeros(300), "az": np.ones(300)}
-    >>> log = open_log(tumble.session_of(description, still))
-    >>> [chunk.accel.shape for chunk in log.chunks(rows=200)]
-    [(200, 3), (100, 3)]
 
     Raises LogError for a format that cannot be read, a damaged or empty file and missing columns, and TumbleError in a
     process forked from one that has read logs, because it lacks the threads of the reader."""

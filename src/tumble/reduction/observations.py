@@ -2,7 +2,7 @@
 
 A rest is its mean reading with covariance. A turn is its preintegrated rotation with the sensitivities to the gyro
 parameters, in the non-rotating frame of the body at its start, so that attitude, site and Earth's rate do not enter.
-With E the relative error of the gyro matrix and δ that of the gyro bias, both about the model of the integration,
+With E the relative error of the gyro matrix and δ the error of the gyro bias in the model of the integration,
 
     C(E, δ) = exp([−(M : E + B δ)×]) C,      M[i,p,q] = ∫ C_ip ω_q dt,   B = ∫ C dt.
 
@@ -52,11 +52,9 @@ from tumble.units import DEGREE, G_STANDARD, Array, IntArray
 
 BLOW = 2.0 * G_STANDARD  # m/s²: the smallest full scale of accelerometers, beyond which a sample may hide clipping
 COSINE_ALIKE = np.cos(10.0 * DEGREE)  # verticals, or attitudes by a turn, within 10° are one
-
-
 WARMED = 1.0  # K: temperature change from which a rest is divided
 SHORTEST_PART = 20.0  # s: a shorter part has too few blocks for the noise of its mean
-MAX_PARTS = 60
+MAX_PARTS = 60  # of a rest: the duration of the estimate grows with their number
 PART_ROTATION = 1e-6  # rad per axis: motion of a support from one part of a rest to the next
 _Arrays = TypeVar("_Arrays", Rests, Turns, TurnReadings)
 
@@ -69,7 +67,7 @@ def one_direction(vectors: Array) -> bool:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class Together:
-    """The sessions that were joined to one.
+    """Sessions whose rests and turns are in one record of observations.
 
     `names`: of the sessions. `session`: index of the session of each rest (N,), ascending. `number`: number of each
     rest in its session (N,), from 0, which parts of a rest share."""
@@ -100,7 +98,7 @@ class Observations(Brief):
     thermometers: Thermometers | None = None
     together: Together | None = None  # the sessions, if there are several
     arrays: tuple[ArrayMoments, ...] = ()  # for every session, the moments of an accelerometer array in motion
-    by_clock: Mapping[str, float] = field(default_factory=dict)  # change by 1 u of the time base, by parameter group
+    by_clock: Mapping[str, float] = field(default_factory=dict)  # change of groups by one u of the time base
     turns_left_out: tuple[str, ...] = ()  # a sentence on each turn that was not recorded completely
     unstamped: bool = False  # whether the log has no time stamps, which would show missing samples
     usual: Mapping[str, float] = field(default_factory=dict)  # standard deviation over instruments, SI, by group
@@ -108,9 +106,7 @@ class Observations(Brief):
     too_small: Mapping[str, float] = field(default_factory=dict)  # by which factor the usual size may be too small
     links: Links | None = None  # motion from node to node that is no turn between rests
     in_run: Mapping[str, float] = field(default_factory=dict)  # usual in-run bias, standard deviation, SI, by kind
-    drift: Mapping[str, float] = field(
-        default_factory=dict
-    )  # usual drift of biases in the in-run process, SI/s, by kind
+    drift: Mapping[str, float] = field(default_factory=dict)  # usual drift in the in-run process, SI/s, by kind
 
     @property
     def session(self) -> IntArray | None:
@@ -228,7 +224,7 @@ def without_rests(links: Links, accel: Block, gyro: Block | None, site: Site) ->
     none, square, places = np.zeros(0), np.zeros((0, 3, 3)), np.zeros(0, dtype=np.int64)
     turns = Turns(
         first=places, last=places, duration=none, C=square, M=np.zeros((0, 3, 3, 3)), B=square, covariance=square,
-        arising=none, velocity_covariance=square, jumps=none, aliased=none,
+        moment_ratio=none, velocity_covariance=square, jumps=none, aliased=none,
     )  # fmt: skip
     samples = TurnSamples(samples=links.samples.samples, start=places, stop=places)
     return Observations(

@@ -137,7 +137,7 @@ class RestStream:
             segmentation = find_rests(reduction, self._accel, self._gyro)
         file, tuning = reduction.files[-1], segmentation.tuning
         count, ongoing_since = len(file), float(file.edges[-1])
-        before, ended = list[Stretch](), list[Stretch]()
+        returned, ended = list[Stretch](), list[Stretch]()  # in this window: before, and now
         for span in segmentation.rests:
             start = max(span.start, self._returned_until)
             while span.stop - start >= LONGEST:
@@ -150,9 +150,9 @@ class RestStream:
             elif not over:
                 ongoing_since = min(ongoing_since, start)
             if span.stop <= self._returned_until and span.start < self._returned_until:
-                before.append(span)
+                returned.append(span)
         ended = [span for span in ended if span.last - span.first >= tuning.fewest_blocks]
-        others = [s for s in before if all(s.stop <= new.start or new.stop <= s.start for new in ended)]
+        others = [s for s in returned if all(s.stop <= new.start or new.stop <= s.start for new in ended)]
         spans = tuple(sorted([*others, *ended], key=lambda span: span.first))
         out = list[Observations]()
         if ended:  # the noise is that of all rests of the window

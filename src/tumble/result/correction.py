@@ -49,9 +49,9 @@ from tumble.units import DEGREE, G_STANDARD, Array
 
 # -------------------- as a matrix and a bias --------------------
 
-
 USUAL_RATE = 100.0 * DEGREE  # rad/s, for calibrations without the rate of their turns
-UP, DENSE = (np.concatenate([half, -half]) for half in (directions(), np.concatenate([np.eye(3), directions(1000)])))
+UP = np.concatenate([directions(), -directions()])
+DENSE = np.concatenate([np.eye(3), directions(1000), -np.eye(3), -directions(1000)])
 """Unit vectors (N, 3) over the sphere, each with its opposite, for fits and for the largest error."""
 
 
@@ -109,7 +109,6 @@ def _without(calibration: CalibrationData, held: Container[str]) -> Compensator:
 
 
 # -------------------- as any program can apply it --------------------
-
 
 _SYMBOLS: dict[SensorKind, str] = {"accel": "f", "gyro": "w"}
 _EXAMPLES = {"accel": (0.5, -1.0, 9.7), "gyro": (0.1, -0.2, 0.3), "mag": (0.4, -0.2, 0.3)}

@@ -45,11 +45,6 @@ MOST_NAMED = 6  # parameters without U that are listed
 GRAVITY_EXCLUDED = 4.0  # cᵀ C⁻¹ c; above it a covariance does not contain the uncertainty of gravity
 
 
-def degrees_of_freedom(parameter: Parameter) -> float:
-    """Return the degrees of freedom of the u of a parameter; infinite if the noise is known."""
-    return inf if parameter.dof is None else parameter.dof
-
-
 def expanded(parameter: Parameter) -> float | None:
     """Return U = k u; None if the parameter has no u, or too few degrees of freedom."""
     return None if parameter.u is None else expanded_of(parameter.u, parameter.dof)

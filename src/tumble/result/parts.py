@@ -30,6 +30,9 @@ from tumble.units import Array
 SERIAL_NOT_STATED = "the serial number is not stated"  # begin of a note, with which no certificate is issued
 MOST_PARAMETERS, MOST_RESTS, MOST_LAUNCHES = 1000, 100_000, 1000
 LARGEST, LEAST = 1e60, 1e-60  # largest number of a file, and smallest uncertainty other than zero
+FEWEST_DEGREES = 0.99  # of freedom of a stated U: one, as of two readings, less rounding; with fewer, t exceeds 14
+_LEAST_SINGULAR_VALUE = 1e-9  # of the matrix of a sensor model; smaller ones count as zero
+_CORRELATION_ROUNDING = 1e-9  # above that of sums over 1000 parameters, 1000² · 2⁻⁵² = 2e-10
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -53,10 +56,6 @@ def checked_sizes(*names: str) -> AfterValidator:
         return part
 
     return AfterValidator(check)
-
-
-_LEAST_SINGULAR_VALUE = 1e-9
-_CORRELATION_ROUNDING = 1e-9  # above that of sums over 1000 parameters, 1000² · 2⁻⁵² = 2e-10
 
 
 def is_size(number: float) -> float:
@@ -127,9 +126,6 @@ def _known(parameter: Parameter) -> Parameter:
 Parameters = Annotated[
     tuple[Annotated[Parameter, AfterValidator(_known), checked_sizes("u")], ...], Field(max_length=MOST_PARAMETERS)
 ]
-
-FEWEST_DEGREES = 0.99
-"""Least degrees of freedom of a stated U: one, as of two readings, less rounding. With fewer, t exceeds 14."""
 
 
 def stated_factor(degrees: float | None) -> float | None:

@@ -24,7 +24,7 @@ from tumble.result.parts import Parameter, SourceContributions
 from tumble.sensors.parameters import group_name, variable_of
 from tumble.units import Array
 
-GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "what only priors say"
+GRAVITY, TIME_BASE, PRIORS = "gravity", "the time base", "parameters that only priors determine"
 
 
 def shared_errors(first: Calibration, second: Calibration) -> dict[str, tuple[Array, Array]]:

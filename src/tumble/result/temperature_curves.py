@@ -8,6 +8,7 @@ Temperatures are in °C. Beyond the measured range the polynomial is an extrapol
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -79,28 +80,31 @@ def temperature_curve(calibration: CalibrationData, name: str, temperature: Arra
     warmer = temperature - reference_of_parameter(calibration, name)
     P = np.stack([warmer**d for d, _ in terms], axis=1)
     members = [i for _, i in terms]
-    parameters, expanded = [calibration.parameters[i] for i in members], None
-    if calibration.covariance is not None:
-        # Welch–Satterthwaite (JCGM 100:2008, G.4.1), but at least the fewest degrees of freedom of a parameter, as for
-        # independent parameters: it fails for anticorrelated ones, whose sum is known better than each of them. U is
-        # not less than that of a single term, which the formula makes it where others have many degrees of freedom
-        S = calibration.covariance[np.ix_(members, members)]
-        u2 = np.einsum("ni,ij,nj->n", P, S, P)
-        per_degree = np.array([0.0 if p.dof is None else 1.0 / p.dof for p in parameters])
-        spread = (P**2 * np.diag(S)) ** 2 @ per_degree
-        degrees = np.divide(u2**2, spread, out=np.full(len(u2), math.inf), where=spread > 0.0)
-        least = min((p.dof for p in parameters if p.dof is not None), default=math.inf)
-        degrees = np.maximum(degrees, least)
-        shares = np.minimum(np.abs(P) * np.sqrt(np.diag(S)) / np.sqrt(np.maximum(u2, 1e-300))[:, None], 1.0)
-        for share, p in zip(shares.T, parameters, strict=True):
-            if p.dof is not None:
-                factors = (coverage_factor(p.dof) * share).tolist()
-                degrees = np.minimum(degrees, [degrees_of_factor(k) or math.inf for k in factors])
-        factors = [k for k in map(stated_factor, degrees.tolist()) if k is not None]
-        expanded = np.array(factors) * np.sqrt(u2) if len(factors) == len(u2) else None
+    parameters = [calibration.parameters[i] for i in members]
+    S = None if calibration.covariance is None else calibration.covariance[np.ix_(members, members)]
     return Curve(
         name=name,
         unit=units_of([name])[0],
         value=P @ np.array([p.value for p in parameters]),
-        expanded=expanded,
+        expanded=None if S is None else _expanded(P, S, [p.dof for p in parameters]),
     )
+
+
+def _expanded(P: Array, S: Array, dofs: Sequence[float | None]) -> Array | None:
+    """Return U (N,) of P (N, m) times parameters with the covariance S (m, m) and these degrees of freedom (m,).
+
+    The degrees of freedom of a sum are those of Welch and Satterthwaite (JCGM 100:2008, G.4.1) for independent
+    parameters, except that they are at least the fewest of any parameter, because the formula gives too few where
+    errors cancel, and that U is at least that of each term alone, because it gives too many where other terms have
+    many."""
+    u2 = np.einsum("ni,ij,nj->n", P, S, P)
+    spread = (P**2 * np.diag(S)) ** 2 @ np.array([0.0 if dof is None else 1.0 / dof for dof in dofs])
+    degrees = np.divide(u2**2, spread, out=np.full(len(u2), math.inf), where=spread > 0.0)
+    degrees = np.maximum(degrees, min((dof for dof in dofs if dof is not None), default=math.inf))
+    shares = np.minimum(np.abs(P) * np.sqrt(np.diag(S)) / np.sqrt(np.maximum(u2, 1e-300))[:, None], 1.0)
+    for share, dof in zip(shares.T, dofs, strict=True):
+        if dof is not None:
+            of_term = (coverage_factor(dof) * share).tolist()
+            degrees = np.minimum(degrees, [degrees_of_factor(k) or math.inf for k in of_term])
+    factors = [k for k in map(stated_factor, degrees.tolist()) if k is not None]
+    return np.array(factors) * np.sqrt(u2) if len(factors) == len(u2) else None

@@ -95,7 +95,7 @@ class Options:
             raise InputError("--base: expected the method joint with all terms, no prior and no frame, found others")
 
     def estimate(self, observations: Observations) -> Estimate:
-        """Return the estimate by the method; of linear terms alone where the method joint is to have no others."""
+        """Return the estimate by the method, with terms = "linear" for the method joint that of the linear terms."""
         if self.method == "joint" and self.terms == "linear":
             return linear_model.linear_joint(observations)
         words = {} if self.iterations is None else {"iterations": self.iterations}
@@ -235,16 +235,12 @@ def _calibrated(session: Session, options: Options, progress: Progress) -> Calib
     else:
         estimate, used, observations = result
         calibration = build_calibration(session, estimate, used, options.frame, origin)
-        faults, outcome = (*observed.gyro_faults, *observed.gyro_bias_faults), calibration.outcome
-        concerned = [outcome.concerns.get(reason, ("",))[0] for reason in outcome.accel.reasons]
-        if is_joint and concerned and all(part.startswith("gyro") for part in concerned):
-            accel_result = estimate_observations(session, observations.of_accelerometers(), options)
-            if not isinstance(accel_result, Outcome):
-                accel_only = build_calibration(session, *accel_result, options.frame, origin)
-                if accel_only.outcome.accel.accepted and accel_only.accel is not None:
-                    alone = "the accelerometers are estimated alone"
-                    because = (advised(f"{found_in(each)}; {alone}", remedy_of(each)) for each in outcome.gyro.reasons)
-                    (estimate, used), calibration, faults = accel_result, accel_only, (*because, *faults)
+        faults = (*observed.gyro_faults, *observed.gyro_bias_faults)
+        accel_result = _accelerometers_alone(session, calibration, observations, options, origin) if is_joint else None
+        if accel_result is not None:
+            alone, reasons = "the accelerometers are estimated alone", calibration.outcome.gyro.reasons
+            faults = (*(advised(f"{found_in(each)}; {alone}", remedy_of(each)) for each in reasons), *faults)
+            calibration, estimate, used = accel_result
         calibration = _with_remarks(calibration, estimate, used, session, observed.segmentation, faults)
         if options.prior is not None and estimate.of_type:
             calibration = extended(calibration, prior=options.prior.words)
@@ -253,9 +249,27 @@ def _calibrated(session: Session, options: Options, progress: Progress) -> Calib
     return calibration
 
 
+def _accelerometers_alone(
+    session: Session, calibration: Calibration, observations: Observations, options: Options, origin: Mapping[str, Any]
+) -> tuple[Calibration, Estimate, Observations] | None:
+    """Return the calibration of the accelerometers alone, its estimate and its observations.
+
+    None unless the `calibration` refuses the accelerometers because of the gyros, and alone they are accepted."""
+    outcome = calibration.outcome
+    concerned = [outcome.concerns.get(reason, ("",))[0] for reason in outcome.accel.reasons]
+    if not concerned or not all(part.startswith("gyro") for part in concerned):
+        return None
+    result = estimate_observations(session, observations.of_accelerometers(), options)
+    if isinstance(result, Outcome):
+        return None
+    alone = build_calibration(session, *result, options.frame, origin)
+    return (alone, *result) if alone.outcome.accel.accepted and alone.accel is not None else None
+
+
 def _estimated(observed: Observed, options: Options) -> tuple[Estimate, Observations, Observations] | Outcome:
-    """Return the estimate from a recording, its observations with and without what its method adds: from motion, unless
-    rests and turns are as good."""
+    """Return the estimate of a recording, its observations as the estimate used them, and as they were before.
+
+    A recording of motion with rests is estimated from rests and turns too, and from motion only if that is better."""
     observations = observations_for_calibration(observed, joint=options.method == "joint")
     if isinstance(observations, Outcome):
         return observations
@@ -331,10 +345,7 @@ def estimate_observations(
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples
             estimate = options.estimate(observations)
         if estimate.method != "joint":  # the method joint includes the time base
-            change, relative = clock_errors(estimate.names, by_clock), max(map(abs, by_clock.values()), default=0.0)
-            clock_covariance, budget = np.outer(change, change), estimate.budget
-            budget = None if budget is None else budget.with_source(source("clock", relative, "1"), clock_covariance)
-            estimate = replace(estimate, covariance=estimate.covariance + clock_covariance, budget=budget)
+            estimate = _with_clock(estimate, by_clock)
         if options.terms == "linear" or estimate.method != "joint":
             if estimate.groups:
                 notes += (
@@ -360,6 +371,18 @@ def estimate_observations(
         broken = Advised(broken, "look at them with `tumble inspect`")
         return Outcome(reasons=(one_attitude(observations) or broken,))
     return estimate, replace(observations, notes=notes)
+
+
+def _with_clock(estimate: Estimate, by_clock: Mapping[str, float]) -> Estimate:
+    """Return an estimate with the error of the time base in its covariance and its budget.
+
+    `by_clock` is the change of groups of parameters by one standard uncertainty of the time base."""
+    change = clock_errors(estimate.names, by_clock)
+    covariance, budget = np.outer(change, change), estimate.budget
+    if budget is not None:
+        relative = max(map(abs, by_clock.values()), default=0.0)
+        budget = budget.with_source(source("clock", relative, "1"), covariance)
+    return replace(estimate, covariance=estimate.covariance + covariance, budget=budget)
 
 
 def assumptions(session: Session, accepted: Sequence[str] = ()) -> dict[str, Any]:

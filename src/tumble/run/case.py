@@ -64,9 +64,6 @@ def vertical_by_parameters(model: SensorModel, force: Array, change: Array) -> A
     return np.asarray(-(np.eye(3) - u[:, :, None] * u[:, None, :]) @ model.inverse() / length @ change)
 
 
-# -------------------- the case --------------------
-
-
 def align_case(vertical: Array, by_parameters: Array, normals_c: Array) -> CaseAlignment:
     """Align the accelerometers to the case by N placements on its faces, with nominal verticals `normals_c` (N, 3).
 

@@ -306,7 +306,7 @@ def turn_results(estimate: Estimate, observations: Observations) -> tuple[TurnRe
     if turns is None or not len(estimate.turn_sigmas):
         return ()
     rotations, linearised = turns.C, estimate.linearised  # nominal ones without gyros, else of the likelihood
-    if estimate.gyro is not None and linearised is not None and linearised.about is not None:
+    if estimate.gyro is not None and linearised is not None and linearised.integrated is not None:
         rotations = linearised.rotations
     elif estimate.gyro is not None:
         rotations = observations.turns_about(estimate.gyro).C
@@ -355,12 +355,12 @@ def _fit_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
     at_rest = observations.links is None
     if at_rest and estimate.fits["accelerometers"].degrees < 0.5 and not estimate.unobservable:
         yield "as many rests as accelerometer parameters: nothing checks the fit, a bad rest would go unnoticed"
-    turns, about = observations.turns, None if estimate.linearised is None else estimate.linearised.about
+    turns, integrated = observations.turns, None if estimate.linearised is None else estimate.linearised.integrated
     cubic = any(group_name(name) == "gyro.cubic" for name in estimate.names)
-    if estimate.method != "joint" or turns is None or about is None or cubic:
+    if estimate.method != "joint" or turns is None or integrated is None or cubic:
         return
     is_turn = turns.duration > 0.0  # and not the step between two parts of a rest
-    rates = np.sqrt(about.moments.body_rates[is_turn][:, [0, 3, 5]].sum(axis=1) / turns.duration[is_turn])
+    rates = np.sqrt(integrated.moments.body_rates[is_turn][:, [0, 3, 5]].sum(axis=1) / turns.duration[is_turn])
     if len(rates) and rates.max() < ONE_RATE * rates.min():
         yield Advised(
             f"all turns have about {rates.mean() / DEGREE:.2g} °/s: the scale factors of the gyros hold at this rate",
@@ -428,8 +428,7 @@ def _lag_notes(estimate: Estimate, observations: Observations) -> Iterator[str]:
     kelvin = observations.rests.temperatures
     if kelvin is None or estimate.budget is None:
         return
-    lag_sources = [i for i, source in enumerate(estimate.budget.sources) if source.name == "lag"]
-    by_lag = np.diagonal(estimate.budget.covariances[lag_sources], axis1=1, axis2=2).sum(axis=0)
+    by_lag = estimate.budget.variances_from("lag")
     for name, sensors in LAGS.items():
         if name not in estimate.names:
             continue

@@ -178,21 +178,16 @@ def calibrate_readings(
         outcome = outcome_of(_findings(table, channels, site, fit))
     else:
         refused = undetermined_by_positions(channels.to_si(rows.values, NO_TIMES), block=TRIAD) or fitted  # as written
-        by_faces = _by_faces(rests, table.degrees, grade, terms) if len(refused.null) else None
-        misstated = None if len(refused.null) else _misstated(channels, fitted_outputs(table.values, site.gravity))
-        outcome = Outcome(reasons=(misstated or refused.reason,), unobservable=TRIAD.names)
+        reason, by_faces = refused.reason, None
+        if len(refused.null):  # the positions do not determine all parameters
+            by_faces = _by_faces(rests, table.degrees, grade, terms)
+        else:
+            reason = _misstated(channels, fitted_outputs(table.values, site.gravity)) or reason
+        outcome = Outcome(reasons=(reason,), unobservable=TRIAD.names)
         if by_faces is not None:
             estimate, outcome, fit_notes = by_faces
-
-    session = Session(
-        folder=None,
-        device=Device(serial=table.path.stem if serial is None else serial.strip(), model=None, systematic=None),
-        site=site,
-        log=LogSpec(
-            files=(table.path,), time=None, time_factor=1.0, rate=None, accel=channels, gyro=None, temperature=None
-        ),
-        programme=None,
-    )
+    device = Device(serial=table.path.stem if serial is None else serial.strip())
+    session = Session(folder=None, device=device, site=site, log=LogSpec(files=(table.path,), accel=channels))
     readings_u, unstated = (), [f"{SERIAL_NOT_STATED}: the name of the table stands for it"] if serial is None else []
     if fit is not None and (table.degrees or fit.scatter == 0.0):  # else the scatter of the fit contains it
         readings_u = tuple((table.row_u * np.abs(channels.unit.factor / channels.scale)).tolist())

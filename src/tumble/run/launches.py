@@ -2,7 +2,7 @@
 
 The covariance of the mean of L launches is the mean of their covariances over L; on the diagonal it is the variance
 from launch to launch over L where that is larger. Errors of gravity, priors and the time base are common to all
-launches: they are separated first, do not average out, and are added to either (`tumble.result.coverage`).
+launches and do not average out: they are separated first, and added in the end (`tumble.result.coverage`).
 """
 
 from __future__ import annotations
@@ -43,7 +43,6 @@ from tumble.result.shared_errors import is_device_property, prior_sensitivities
 from tumble.result.uncertainty_budget import contributions_of
 from tumble.run.calibrate import DEFAULT_METHOD, Method, calibrate
 from tumble.run.from_estimate import origin_of, parameters_of
-from tumble.run.magnetometer import PARAMETER_NAMES
 from tumble.run.observed import Progress
 from tumble.sensors.frames import Convention, Frame, frame_of
 from tumble.sensors.grades import TURN_ON, guessed_grade, spread_of
@@ -158,8 +157,9 @@ def mean_of_launches(runs: Sequence[LaunchRun]) -> Calibration:
     clock_u, site = min(each.log.time_base_u for each in sessions), first.provenance.site
     by_clock = clock_errors(names, clock_effects(clock_u, session.log.increments))
     shared = _shared_covariances(launches, names, covariances, by_clock)
-    parameters, covariance, within = _mean_parameters(launches, names, values, covariances, shared)
-    mean, shared_mean = values.mean(axis=0), sum(each.mean(axis=0) for each in shared.values())
+    shared_mean = np.sum([each.mean(axis=0) for each in shared.values()], axis=0)
+    unshared, mean = covariances - np.sum([*shared.values()], axis=0), values.mean(axis=0)
+    parameters, covariance, within = _mean_parameters(launches, names, values, covariances, unshared, shared_mean)
     budget = _mean_budget(launches, names, shared, within)
     for each, part in (
         (source("launches", dof=count - 1.0), covariance - within - shared_mean),
@@ -257,16 +257,20 @@ def _mean_parameters(
     names: Sequence[str],
     values: Array,
     covariances: Array,
-    shared: Mapping[str, Array],
+    unshared: Array,
+    shared_mean: Array,
 ) -> tuple[tuple[Parameter, ...], Array, Array]:
-    """Return the parameters of the mean, their covariance (m, m), and its part (m, m) from within the launches."""
-    count, shared_mean = len(launches), np.sum([each.mean(axis=0) for each in shared.values()], axis=0)
-    unshared = covariances - np.sum([*shared.values()], axis=0)
+    """Return the parameters of the mean, their covariance (m, m), and its part (m, m) from within the launches.
+
+    `covariances`, `unshared` (L, m, m): of the launches, and without the errors that they share, whose covariance in
+    the mean is `shared_mean` (m, m)."""
+    count = len(launches)
     variances = np.diagonal(unshared, axis1=1, axis2=2).clip(0.0)
     within = unshared.sum(axis=0) / count**2
     covariance = within + shared_mean
     np.fill_diagonal(within, variances.sum(axis=0) / count**2)
-    estimates, run_to_run = [[launch[name] for launch in launches] for name in names], values.std(axis=0, ddof=1)
+    estimates = [[launch[name] for launch in launches] for name in names]
+    run_to_run = values.std(axis=0, ddof=1)
     degrees = list[float | None]()
     for i, members in enumerate(estimates):
         parts = []
@@ -446,5 +450,5 @@ def _mean_model(frame: Frame, block: Block | None, values: Mapping[str, float]) 
     if block is None:
         return None
     convention = Convention(frame=frame, block=block) if block.kind != "mag" else block
-    names = convention.names if block.kind != "mag" else PARAMETER_NAMES
+    names = convention.names
     return convention.model(np.array([values[name] for name in names])) if set(names) <= set(values) else None

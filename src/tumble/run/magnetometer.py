@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import groupby
 
 import numpy as np
 
@@ -84,18 +83,16 @@ def _notes(magnetometer: MagnetometerEstimate, observations: Observations, spec:
             f"magnetometer: rest {i + 1} ({rests.start[i]:z.1f}–{rests.stop[i]:z.1f} s) was left out: "
             f"{magnetometer.sigmas[i]:.1f} sigma, the field is {magnetometer.off[i]:+.3g} {unit} off"
         )
-    nodes = [
-        list(run) for _, run in groupby(enumerate(out[out >= len(rests)].tolist()), lambda pair: pair[1] - pair[0])
-    ]
-    for run in nodes[:MOST_NAMED]:
-        stretch = [i for _, i in run]
-        start, stop = magnetometer.time[[stretch[0], stretch[-1]]]
+    nodes = out[out >= len(rests)]
+    stretches = np.split(nodes, np.flatnonzero(np.diff(nodes) > 1) + 1) if len(nodes) else []
+    for stretch in stretches[:MOST_NAMED]:
+        start, stop = magnetometer.time[stretch[[0, -1]]]
         yield (
             f"magnetometer: its readings from {start:.1f} to {stop:.1f} s were left out: up to "
             f"{magnetometer.sigmas[stretch].max():.1f} sigma"
         )
-    if len(nodes) > MOST_NAMED:
-        yield f"magnetometer: {len(nodes) - MOST_NAMED} more such stretches were left out"
+    if len(stretches) > MOST_NAMED:
+        yield f"magnetometer: {len(stretches) - MOST_NAMED} more such stretches were left out"
     # order or signs of columns that differ from the accelerometers'; the latitude decides a common sign
     axes, latitude = magnetometer.magnetometer.block.axes, observations.site.latitude
     if np.array_equal(axes, np.eye(3)):

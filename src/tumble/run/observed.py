@@ -51,6 +51,12 @@ from tumble.sensors.grades import grade as grade_named
 from tumble.sensors.parameters import prior_sizes, usual_sizes
 from tumble.units import DEGREE, IntArray
 
+OTHER_GRADE_NOISE = 10.0  # ratio to the usual white noise of a grade; within a grade noise differs by a factor of 3
+REJECTED_RESTS_RATIO = 2  # rests rejected by the gyros per rest found, above which the gyros are faulty
+LARGEST_SQUARED = 1e100  # SI; sums of products of larger numbers overflow
+FEWEST_RESTS = 9  # below this number rests alone do not determine accelerometers
+SHORTEST_MOTION = 20.0  # s; a shorter motion determines nothing
+TREMOR = 0.07 * DEGREE  # rad/s rms about an axis over tenths of a second; a hand trembles by more
 Progress = Callable[[Log], Iterable[Chunk]]
 """Function that yields the chunks of a log, for instance to show the progress of reading."""
 
@@ -107,11 +113,6 @@ class Observed(Judged):
         return origin_of(self.sha256) | {"sample_rate": self.rate, "circumstances": self.circumstances}
 
 
-OTHER_GRADE_NOISE = 10.0  # ratio to the usual white noise of a grade; within a grade noise differs by a factor of 3
-REJECTED_RESTS_RATIO = 2  # rests rejected by the gyros per rest found, above which the gyros are faulty
-LARGEST_SQUARED = 1e100  # SI; sums of products of larger numbers overflow
-
-
 @checked
 def inspect_session(
     session: Session | FilePath, *, progress: Progress = Log.chunks, tuning: Tuning = USUAL
@@ -148,7 +149,7 @@ def inspect_session(
 
 def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
     """Find rests, turns and faults in a reduced log, once more without its gyros if they are faulty."""
-    whole, accel_block = reduction, session.accel_block
+    as_read, accel_block = reduction, session.accel_block
     of_accel, of_gyros = channel_faults(reduction, session.log)
     faults = (
         [fault.sentence for fault in of_accel]
@@ -157,17 +158,7 @@ def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
     )
     with np.errstate(over="ignore", invalid="ignore"):  # in a wrong unit, or of damaged samples
         reduction = without_blemishes(reduction)
-        segmentation, rejected = find_rests(reduction, accel_block, session.gyro_block), ""
-        found, few = len(segmentation.rests), reduction.tuning.level_attitudes
-        if session.log.gyro is not None and 0 < found < few:
-            by_accel = find_rests(reduction, accel_block, None)
-            more = len(by_accel.rests) - found
-            if more > max(REJECTED_RESTS_RATIO * found, few):
-                segmentation = by_accel
-                rejected = (
-                    f"the gyros read another rate in {more} of {len(by_accel.rests)} rests of the accelerometers, and "
-                    "why cannot be told: look at the rests with `tumble inspect`"
-                )
+        segmentation, rejected = _rests_of_sensors(reduction, session)
         faults = faults or [*normalised(reduction, segmentation.rests, onto_body(accel_block.axes))]
         files, last = len(reduction.files), max((each.file or 1 for each in session.excluded), default=1)
         if last > files:
@@ -181,7 +172,7 @@ def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
             )
             enough = len(clipped) == len(of_gyros) and _suffices(reduction, segmentation, clipped)
             if of_gyros and not (faults or enough):
-                alone = _inspected(log, session.without_gyros(), _of_accelerometers(whole))
+                alone = _inspected(log, session.without_gyros(), _of_accelerometers(as_read))
                 sentences = tuple(fault.sentence for fault in of_gyros)
                 if alone.observations is not None and not alone.faults:
                     return replace(alone, gyro_faults=sentences)
@@ -202,8 +193,8 @@ def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
             observations = _observed(session, reduction, segmentation.rests)
         if faults or rejected:
             gyro_faults = [*high_passed(reduction, segmentation.rests)]
-            if rejected and not faults:
-                gyro_faults = gyro_faults or [rejected]
+            if rejected and not (faults or gyro_faults):
+                gyro_faults = [rejected]
         if gyro_faults:
             faults, _ = vertical_faults(trial.of_accelerometers(), session, reduction.rate, 0.0)
     if session.log.gyro is not None and not faults and not gyro_faults:
@@ -221,6 +212,23 @@ def _inspected(log: Log, session: Session, reduction: Reduction) -> Observed:
     )
 
 
+def _rests_of_sensors(reduction: Reduction, session: Session) -> tuple[Segmentation, str]:
+    """Return the rests of a log, and a fault of the gyros if these read another rate in most of the rests of the
+    accelerometers, which are then returned; else an empty sentence."""
+    segmentation = find_rests(reduction, session.accel_block, session.gyro_block)
+    found, few = len(segmentation.rests), reduction.tuning.level_attitudes
+    if session.log.gyro is None or not 0 < found < few:
+        return segmentation, ""
+    by_accel = find_rests(reduction, session.accel_block, None)
+    more = len(by_accel.rests) - found
+    if more <= max(REJECTED_RESTS_RATIO * found, few):
+        return segmentation, ""
+    return by_accel, (
+        f"the gyros read another rate in {more} of {len(by_accel.rests)} rests of the accelerometers, and why cannot "
+        "be told: look at the rests with `tumble inspect`"
+    )
+
+
 def _of_accelerometers(reduction: Reduction) -> Reduction:
     """Return the reduction of the accelerometers alone."""
     files = list[FileBlocks]()
@@ -234,8 +242,8 @@ def _of_accelerometers(reduction: Reduction) -> Reduction:
 def _suffices(reduction: Reduction, segmentation: Segmentation, clipped: list[int]) -> bool:
     """Return True if gyros of which some are `clipped` are sound in all rests and in enough turns.
 
-    A turn tells the n integrals of the gyros but one, as the heading after it is not known, and each gyro has a scale
-    factor and two angles. The motion from rest to rest, of a recording with few rests, must be sound as a whole."""
+    A turn determines n − 1 combinations of the n gyros, because the heading after it is not known, and each gyro has
+    a scale factor and two angles. A recording of motion with few rests must be sound as a whole."""
     rests, files, n = segmentation.rests, reduction.by_file, len(reduction.gyro_channels)
     if len(rests) < FEWEST_RESTS:
         return False
@@ -323,11 +331,6 @@ def observations_for_calibration(
     return observations if joint else observations.without_magnetometer()
 
 
-FEWEST_RESTS = 9  # below this number rests alone do not determine accelerometers
-SHORTEST_MOTION = 20.0  # s; a shorter motion determines nothing
-TREMOR = 0.07 * DEGREE  # rad/s rms about an axis over tenths of a second; a hand trembles by more
-
-
 def _in_motion(observed: Observed) -> Observations | None:
     """Return the observations from node to node of a recording with few or no rests; None for other recordings.
 
@@ -339,8 +342,9 @@ def _in_motion(observed: Observed) -> Observations | None:
     n_rests = len(segmentation.rests) + len(segmentation.shaken)
     if session.programme is not None or session.log.gyro is None or faulty or n_rests >= FEWEST_RESTS:
         return None
-    reduction, match = without_numbered(observed.reduction, observed.segmentation, session.excluded)
-    spans, notes, links = match.rests, tuple[str, ...](), links_of(reduction, match.rests)
+    reduction, match = without_numbered(observed.reduction, segmentation, session.excluded)
+    spans, notes = match.rests, tuple[str, ...]()
+    links = links_of(reduction, spans)
     trembling = [reduction.by_file[span.file].gyro.means[span.first : span.last].var(axis=0).mean() for span in spans]
     if links and spans and np.median(trembling) > TREMOR**2 + 2.0 * links.gyro_density / reduction.block_seconds:
         notes = (Advised(f"held in the hand in {len(spans)} pauses, which are no rests", "put it down in them"),)

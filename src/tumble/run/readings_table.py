@@ -92,15 +92,15 @@ def table_of(readings: Array) -> ReadingsTable:
 def is_table(path: Path) -> bool:
     """Return whether a file is a table of readings, one row per position, and no log.
 
-    A log is a recording in another format, or has a column of times or of gyros, or lines above the names, and rows of
-    samples."""
+    A table of many rows has three columns, or names of accelerometers, and no column of times or of gyros."""
     if not path.is_file() or is_recording(path):
         return False
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         names = [cell.strip() for cell in file.readline().split(",")]
         rows = sum(1 for _ in islice(file, _FEWEST_SAMPLES))
     named = columns_by_name(names)
-    return rows < _FEWEST_SAMPLES or (len(names) >= 3 and named.time is None and "gyro" not in named.triads)
+    accelerometers = len(names) == 3 or "accel" in named.triads
+    return rows < _FEWEST_SAMPLES or (accelerometers and named.time is None and "gyro" not in named.triads)
 
 
 def read_table(path: Path) -> ReadingsTable:
@@ -296,7 +296,6 @@ def channels_of(
         scale=sizes * signs,
         offset=np.zeros(3),
         axes=np.eye(3),
-        range=None,
         scale_stated=stated,
     )
     notes = list[str]()

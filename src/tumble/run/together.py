@@ -66,8 +66,8 @@ def calibrate_together(
     >>> tumble.calibrate_together(folders)
     Traceback (most recent call last):
     ...
-    tumble.errors.InputError: level-1: expected temperatures in every session, found no [log.temperature]; […] is a
-    table of session.toml; for arrays use the argument of that name without unit, or tumble.session_of
+    tumble.errors.InputError: level-1: expected temperatures in every session, found no [log.temperature]; names in
+    [ ] are tables of session.toml; for arrays use the argument of that name without unit, or tumble.session_of
     """
     if len(sessions) < 2:
         raise InputError(f"sessions: expected two or more for one estimate, found {len(sessions)}")

@@ -31,7 +31,7 @@ which are independent of θ_A except through (2): the change of the biases since
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -82,7 +82,7 @@ from tumble.units import ZERO_CELSIUS, Array
 
 PARTS = 40  # of a rest; shorter parts do not improve the in-run process and the lag
 HELD = 1e-7  # prior of scale factors and axis angles without a calibration, much smaller than relative errors of slopes
-FEWEST_DEGREES = 4.0  # degrees of freedom of the variance that a lag adds
+LEAST_LAG_DEGREES = 4.0  # degrees of freedom of the variance that a lag adds
 CREEP = 1e-6  # rad/√s, random walk of the attitude of a device on a table, 12″ in an hour
 
 
@@ -268,18 +268,10 @@ def _with_coefficients(
         before = lines.get(line.name, line)
         lines[line.name] = replace(before, contributions={**before.contributions, **line.contributions})
 
-    all_degrees = np.full(len(estimate.names), np.inf) if estimate.degrees is None else estimate.degrees
-    degrees = degrees_through(move, estimate.u, all_degrees.tolist())
-    lag_sources = [i for i, each in enumerate(budget.sources) if each.name == "lag"]
-    by_lag = np.diagonal(budget.covariances[lag_sources], axis1=1, axis2=2).sum(axis=0).tolist()
     u = np.sqrt(np.diag(covariance))
     sizes = {group.name: group.prior * group.prior_widened for group in estimate.groups}
     priors = [sizes.get(group_name(name)) for name in new]
-    dof = list[float | None]()
-    for j, name in enumerate(new):
-        variance = float(estimated[j, j])
-        parts = (variance - by_lag[j], degrees[j]), (by_lag[j], _lag_degrees(estimate, sensor_kind(name)))
-        dof.append(welch_satterthwaite([*parts, (u[first + j] ** 2 - variance, None)]))
+    dof = _degrees_of(estimate, move, new, u[first:] ** 2)
     parameters = [replace(base.parameters[i], u=float(u[j])) for j, i in enumerate(kept)]
     parameters += parameters_of(new, values[first:], u[first:], dof=dof, prior=priors)
     order = {group.name: i for i, group in enumerate(groups())}
@@ -301,8 +293,25 @@ def _with_coefficients(
     )
 
 
+def _degrees_of(estimate: Estimate, move: Array, names: Sequence[str], variances: Array) -> list[float | None]:
+    """Return the degrees of freedom of parameters with these names and variances (q,).
+
+    The parameters are `move` (q, m) times those of the estimate. What their variances have beyond those of the estimate
+    is known, and its part from a lag has the degrees of freedom of the lag."""
+    assert estimate.budget is not None
+    degrees = np.full(len(estimate.names), np.inf) if estimate.degrees is None else estimate.degrees
+    moved_degrees = degrees_through(move, estimate.u, degrees.tolist())
+    estimated = np.diag(move @ estimate.covariance @ move.T)
+    by_lag = estimate.budget.carried(move).variances_from("lag")
+    out = list[float | None]()
+    for name, variance, dof, whole, lag in zip(names, estimated, moved_degrees, variances, by_lag, strict=True):
+        lag_dof = _lag_degrees(estimate, sensor_kind(name))
+        out.append(welch_satterthwaite([(variance - lag, dof), (lag, lag_dof), (whole - variance, None)]))
+    return out
+
+
 def _lag_degrees(estimate: Estimate, kind: str) -> float | None:
-    """Return the degrees of freedom of the variance that a lag adds, at least FEWEST_DEGREES.
+    """Return the degrees of freedom of the variance that a lag adds, at least LEAST_LAG_DEGREES.
 
     The lag is estimated with the likeliest size σ of the in-run bias. If ln σ is known to r, and the bias has the share
     p of the variance, this is known to 2 p r, so that ν = 1/(2 p² r²)."""
@@ -311,23 +320,18 @@ def _lag_degrees(estimate: Estimate, kind: str) -> float | None:
     if not sizes or budget is None:
         return None
     slopes = [i for i, name in enumerate(estimate.names) if group_name(name) == f"{kind}.bias.t1"]
-    names = (each.name for each in budget.sources)
-    variances = dict(zip(names, budget.covariances[:, slopes, slopes].sum(axis=1), strict=True))
-    total = sum(variances.get(f"{kind}.{name}", 0.0) for name in ("noise", "scatter", "in_run"))
-    share, r = variances.get(f"{kind}.in_run", 0.0) / max(total, 1e-300), 0.5 * np.log(sizes[0].high / sizes[0].low)
-    return max(0.5 / max(float(share * r), 1e-6) ** 2, FEWEST_DEGREES)
-
-
-def _kelvin(observations: Observations) -> Array:
-    assert observations.rests.temperatures is not None
-    return observations.rests.temperatures
+    parts = ("noise", "scatter", "in_run")
+    variances = {part: budget.variances_from(f"{kind}.{part}")[slopes].sum() for part in parts}
+    share, r = variances["in_run"] / max(sum(variances.values()), 1e-300), 0.5 * np.log(sizes[0].high / sizes[0].low)
+    return max(0.5 / max(float(share * r), 1e-6) ** 2, LEAST_LAG_DEGREES)
 
 
 # -------------------- notes --------------------
 
 
 def _notes(estimate: Estimate, observations: Observations, base: Calibration | None) -> Iterator[str]:
-    celsius = _kelvin(observations) - ZERO_CELSIUS
+    assert observations.rests.temperatures is not None
+    celsius = observations.rests.temperatures - ZERO_CELSIUS
     yield f"over temperature: {celsius.min():z.1f} to {celsius.max():z.1f} °C; beyond them nothing was measured"
     for name, sensors in LAGS.items():
         if name in estimate.names:
@@ -350,7 +354,8 @@ def _notes(estimate: Estimate, observations: Observations, base: Calibration | N
 
 def _assumptions(observations: Observations, doubts: Iterable[str]) -> Iterator[str]:
     yield from (f"doubt: {doubt}" for doubt in doubts)
-    span = float(np.ptp(_kelvin(observations), axis=0).max())
+    assert observations.rests.temperatures is not None
+    span = float(np.ptp(observations.rests.temperatures, axis=0).max())
     if span < WIDE:
         yield Advised(
             f"the temperatures span {span:.1f} K, less than {WIDE:.0f}: curvatures have their usual sizes, and beyond "

@@ -125,7 +125,7 @@ def correction_notes(calibration: Calibration | FilePath, session: Session | Fil
         notes.append("lever arms: the readings of the accelerometers are moved to the place of the last one")
     if np.any(late_ms := 1e3 * compensator.delays):
         size = f"{late_ms[0]:.3g} ms" if np.ptp(late_ms) == 0.0 else f"{late_ms.min():.3g} to {late_ms.max():.3g} ms"
-        notes.append(f"the delay of the accelerometers, {size}, is not undone: take it off their times")
+        notes.append(f"the delay of the accelerometers, {size}, is not corrected: subtract it from their times")
     if compensator.warm and session.log.temperature is None:
         reference = calibration.reference_temperature
         temperature = "the reference" if reference is None else f"{reference:.1f} °C"
@@ -136,7 +136,7 @@ def correction_notes(calibration: Calibration | FilePath, session: Session | Fil
     if "hysteresis" in variables:
         notes.append("hysteresis over temperature is not applied: parameters are the mean of both ways")
     if "time" in variables:
-        notes.append("drift in time is not undone: it belongs to the session in which it was found")
+        notes.append("drift in time is not corrected: it belongs to the session in which it was found")
     return tuple(notes)
 
 

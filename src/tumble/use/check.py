@@ -277,16 +277,16 @@ def _assumptions(
 ) -> Iterator[str]:
     """Yield notes on changes from one power-on to the next, and on the temperature of the check, °C; `launches` are
     those of other calibrations of the device."""
-    origin = f", guessed from {guessed_from}; [device] grade states another" if guessed_from else ""
+    origin = f" (guessed from {guessed_from}; state it as [device] grade)" if guessed_from else ""
     count = sum(each.degrees + 1 for each in _all_launches(calibration, launches))
     by_launches = f", or as from launch to launch of {count} launches of the device" if count else ""
     yield (
-        f"what turning on again changes: as usual of the grade {grade}{by_launches}{origin}; it is allowed for in the "
-        "tests of the parameters, and not in u of g − |f|"
+        f"changes from one power-on to the next: allowed for as usual for the grade {grade}{by_launches}{origin}, in "
+        "the tests of the parameters, not in u of g − |f|"
     )
     reference = calibration.reference_temperature
     if reference is None or celsius is None:
-        yield "the temperatures of calibration and check are not both known: no difference is allowed for"
+        yield "the temperature of the calibration or of the check is unknown: its change is not allowed for"
     elif abs(celsius - reference) > 1.0:
         temperatures = f"calibrated at {reference:.1f} °C, checked at {celsius:.1f} °C"
         yield f"{temperatures}: parameters by their slopes and curvatures"

@@ -215,7 +215,7 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
     )
     remarks = list(_remarks(first, second, frame))
     if sources:
-        remarks.append(f"the same error of {' and of '.join(sources)} in both is no part of their differences")
+        remarks.append(f"common to both, and not in u of the differences: errors of {' and of '.join(sources)}")
     return Comparison(
         frame=frame,
         differences=differences,

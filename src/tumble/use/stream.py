@@ -217,8 +217,8 @@ class StreamCheck:
         Raises InputError if there was no rest."""
         if self._chain is None:
             raise InputError(f"{self.session.name}: expected rests to check with, found none")
-        origin = f", guessed from {self._guessed_from}; [device] grade states another" if self._guessed_from else ""
-        note = f"what turning on again changes, and how fast that wanders: as usual of the grade {self._grade}{origin}"
+        origin = f" (guessed from {self._guessed_from}; state it as [device] grade)" if self._guessed_from else ""
+        note = f"changes from one power-on to the next, and their rate: as usual for the grade {self._grade}{origin}"
         return FieldCheck(
             source=self.session.name,
             rests=tuple(self.rests),

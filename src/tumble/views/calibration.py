@@ -128,7 +128,7 @@ def calibration_blocks(
         )
     lines += notes_without_expanded(parameters)
     if minor := _minor_assumptions(calibration):
-        lines.append(f"smaller parts of u: {'; '.join(re.split('[:,] ', each)[0] for each in minor)}")
+        lines.append(f"with less effect on u: {'; '.join(re.split('[:,] ', each)[0] for each in minor)}")
     following = _next_command(calibration, file, session, log)
     height = len(text_of([*blocks, Items(items=(*lines, "")), following], WIDTH).splitlines())
     remarks = _fitting_remarks(calibration, minor, MAX_LINES - height)
@@ -185,7 +185,7 @@ def _verdict_lines(calibration: Calibration) -> list[str]:
     """Return the verdicts on kinds of sensors and groups that differ, then that on the whole calibration."""
     lines = [*verdicts(calibration)]
     if spared := accepted_groups(calibration):
-        lines.insert(-1, f"accepted all the same: {', '.join(spared)}")
+        lines.insert(-1, f"accepted groups: {', '.join(spared)}")
     return lines
 
 
@@ -413,16 +413,16 @@ def unknown_blocks(calibration: Calibration) -> list[Block]:
     blocks: list[Block] = [table(rows, words=("unknown", "what it is", "unit"), dense=True)]
     if (integral := calibration.evidence.integral) is not None:
         blocks.append(
-            f"averaged over them at {integral.points} points, effectively {integral.effective:.0f}; with others values "
-            f"and u would differ by up to {100.0 * integral.u_error:.1f} % of u"
+            f"results are averages over them at {integral.points} points (effectively {integral.effective:.0f}): "
+            f"values and u have a sampling error of up to {100.0 * integral.u_error:.1f} % of u"
         )
     units, rows = shown_units(calibration.parameters), []
     for bias in (each for each in calibration.evidence.process_bias if each.name in units):
         size, unit = units[bias.name]
         value, u = cells(bias.value, bias.u, size)
         next_u = cells(bias.value, bias.next_u, size)[1]
-        rows.append({"mean of": bias.name, "value": value, "u": u, "u the next minute": next_u, "unit": unit})
-    return [*blocks, table(rows, words=("mean of", "unit"))] if calibration.evidence.process_bias else blocks
+        rows.append({"process mean": bias.name, "value": value, "u": u, "u next minute": next_u, "unit": unit})
+    return [*blocks, table(rows, words=("process mean", "unit"))] if calibration.evidence.process_bias else blocks
 
 
 def launch_table(

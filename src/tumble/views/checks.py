@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from tumble.inference.estimate import Fit
 from tumble.methods.field_check import CHANCE, ParameterTest
@@ -40,14 +40,14 @@ def comparison_lines(comparison: Comparison) -> list[str]:
     """Return sentences on the number of differences beyond U, the probability of the largest, and χ² of all
     together."""
     judged = [d for d in comparison.differences if d.e_n is not None]
-    lines = [f"{sum(abs(d.e_n or 0.0) > 1.0 for d in judged)} of {len(judged)} |E_n| beyond 1"]
+    lines = [f"{sum(abs(d.e_n or 0.0) > 1.0 for d in judged)} of {len(judged)} |E_n| exceed 1"]
     if comparison.largest_by_chance is not None:
         chance = probability_text(comparison.largest_by_chance)
-        lines[0] += f", one as large as the largest by chance with probability {chance}"
+        lines[0] += f", the largest is exceeded by chance with probability {chance}"
     if comparison.probability is not None:
         lines.append(
-            f"all together: χ² {comparison.chi_square:.1f} for {comparison.degrees:.3g}, exceeded by chance with "
-            f"probability {probability_text(comparison.probability)}"
+            f"all together: χ² {comparison.chi_square:.1f} with {comparison.degrees:.3g} degrees of freedom, exceeded "
+            f"by chance with probability {probability_text(comparison.probability)}"
         )
     return lines
 
@@ -65,8 +65,8 @@ def check_blocks(check: FieldCheck, *, rests: bool = True) -> list[Block]:
     if rests and compared:
         more = len(check.rests) - MOST_SHOWN
         blocks += [_rest_table(check.rests), *([f"and {more} others with smaller ratios"] if more > 0 else [])]
-        size, unit = engineering("m/s^2", _largest(compared))
         largest, ratio = max(abs(r.difference) for r in compared), max(abs(r.sigmas or 0.0) for r in compared)
+        size, unit = engineering("m/s^2", largest)
         summary = (
             f"largest |g−|f|| {largest / size:.3g} {unit}; largest ratio {ratio:.2f} of {len(compared)}, at most "
             f"{check.rest_limit:.2f} in 99 of 100 good calibrations"
@@ -83,13 +83,14 @@ def check_blocks(check: FieldCheck, *, rests: bool = True) -> list[Block]:
         test = max((t for t in check.parameters if group_name(t.name) == group), key=lambda t: t.detectable)
         size, unit = units[test.name]
         worst[group] = f"{group} {two_digits(test.detectable / size)} {unit}"
-    return [*blocks, "no change is shown" + (f", and none larger than\n{', '.join(worst.values())}" if worst else "")]
+    limits = f"; larger than these, it would be in nine of ten cases:\n{', '.join(worst.values())}" if worst else ""
+    return [*blocks, f"no change is detected{limits}"]
 
 
 def _rest_table(rests: Sequence[CheckedRest]) -> Table:
     """Return a table of the differences from gravity at the rests or positions with the largest ratios, in their order,
-    with empty cells without a prediction."""
-    size, unit = engineering("m/s^2", _largest(rests))
+    with empty cells without a prediction. The unit is that of the largest u."""
+    size, unit = engineering("m/s^2", max(rest.u for rest in rests if rest.u is not None and math.isfinite(rest.u)))
     order, rows = sorted(range(len(rests)), key=lambda i: -abs(rests[i].sigmas or 0.0)), []
     for rest in (rests[i] for i in sorted(order[:MOST_SHOWN])):
         row = {"": rest.label, f"g−|f| {unit}": "", f"u (k=1) {unit}": "", "ratio": ""}
@@ -98,11 +99,6 @@ def _rest_table(rests: Sequence[CheckedRest]) -> Table:
             row = dict(zip(row, (rest.label, *numbers), strict=True))
         rows.append(row)
     return table(rows, words=("",))
-
-
-def _largest(rests: Iterable[CheckedRest]) -> float:
-    values = (size for rest in rests for size in (abs(rest.difference), rest.u or 0.0))
-    return max(size for size in values if math.isfinite(size))
 
 
 def _test_blocks(check: FieldCheck, misfit: Fit, units: Units) -> Iterator[Block]:
@@ -120,8 +116,8 @@ def _test_blocks(check: FieldCheck, misfit: Fit, units: Units) -> Iterator[Block
             "100 checks where nothing has changed"
         )
     yield (
-        f"what no change explains: χ² {misfit.chi_square:.1f} for {misfit.degrees:.0f}, by chance with probability "
-        f"{probability_text(misfit.probability)}"
+        f"residuals that no change explains: χ² {misfit.chi_square:.1f} with {misfit.degrees:.0f} degrees of freedom, "
+        f"exceeded by chance with probability {probability_text(misfit.probability)}"
     )
     if check.unseen:
         yield f"not seen by these rests: {', '.join(check.unseen)}"

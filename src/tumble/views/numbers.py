@@ -102,7 +102,7 @@ def in_engineering(unit: str, value: float, digits: int = 3) -> str:
 
 def probability_text(probability: float) -> str:
     """Format a probability to two digits, without rounding up to 1."""
-    return "above 0.99" if probability > 0.99 else f"{probability:.2g}"
+    return "above 0.99" if probability > 0.99 else "below 1e-99" if probability < 1e-99 else f"{probability:.2g}"
 
 
 def percent(fraction: float | None) -> str:

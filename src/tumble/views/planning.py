@@ -53,9 +53,11 @@ def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
     blocks.append(table(rows, words=("parameters", "by", "mostly from")))
     if plan.following:
         words, rows = ("one more position", "up and down", "how to get there"), []
+        equals = any(one.as_good for one in plan.following)
         for one in plan.following:
             place = (short_code(one.position.attitude), one.position.label, move_text(one.move))
-            counts = {"as good": f"+{one.as_good}" if one.as_good else "", "gain": minus(f"{one.ratio - 1.0:+.1%}")}
+            counts = {"as good": f"+{one.as_good}" if one.as_good else ""} if equals else {}
+            counts["gain"] = minus(f"{one.ratio - 1.0:+.1%}")
             u_after = {group: _in_unit(group, one.u[group]) for group in GROUPS if group in one.u}
             rows.append(dict(zip(words, place, strict=True)) | counts | u_after)
         blocks.append(table(rows, words=words))
@@ -63,9 +65,11 @@ def plan_blocks(plan: Plan, *, sources: bool = False) -> list[Block]:
         needs = (_needs(row, setup) for row in plan.requirements)
         blocks.append(table(needs, words=("parameters", "because")))
     worse = any(row.spread < row.u < math.inf for row in plan.groups)
-    above = (
-        "u/before above 100 %: errors of table and mounting, and terms beyond the linear model, are in u and not in "
-        "the spread before; this pass does not improve such a group"
+    above = "u/before above 100 %: " + (
+        "the programme does not determine such a group, and u allows for a size larger than usual"
+        if plan.method == "joint"
+        else "u contains errors of table and mounting and terms beyond the linear model, which the spread before does "
+        "not; this pass does not improve such a group"
     )
     return [*blocks, Items(items=(*([above] if worse else []), *plan.assumptions))]
 
@@ -82,6 +86,6 @@ def _needs(row: Requirement, setup: Setup) -> dict[str, str]:
         cells[what] = f"±{largest / DEGREE:.2f}° (any)" if error is None else f"±{error / DEGREE:.2f}°"
     cells["rests of"] = f"{row.rest:.3g} s" if math.isfinite(row.rest) else "–"
     if row.rest == least_rest(setup):
-        cells["rests of"] += f" (the least: {_in_unit(row.group, row.reached)})"
+        cells["rests of"] += f" (shortest: {_in_unit(row.group, row.reached)})"
     cells["or positions"] = "" if row.positions is None else str(row.positions)
     return cells | {"because": ""}

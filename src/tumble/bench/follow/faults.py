@@ -157,11 +157,12 @@ def wrong_unit(task: Task, progress: Progress) -> Iterator[Fault]:
 
 
 def is_over(fault: Fault, task: Task, progress: Progress) -> bool:
-    """Return True for a fault that has passed: a good rest follows a gap, or the right position a wrong one."""
+    """Return True for a fault that has passed: a good rest, or two of any length, follow a gap, or the
+    right position a wrong one."""
     groups, programme = progress.groups, task.programme
     if fault.kind == "gap":
-        last = groups[-1][-1] if groups else None
-        return last is not None and last.start > fault.start and progress.judged[-1].enough
+        taken = sum(group[0].start > fault.start for group in groups)
+        return taken > 1 or (bool(groups) and groups[-1][-1].start > fault.start and progress.judged[-1].enough)
     if fault.kind == "restart":
         return True
     if fault.kind not in PASSING or programme is None:

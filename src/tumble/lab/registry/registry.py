@@ -25,6 +25,7 @@ from tumble.lab.limits import Occasion, months_later, parse_limits
 from tumble.lab.registry.records import NOT_ACCEPTED, Due, LimitsRecord, Record, State
 from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_of, text_and_name
+from tumble.result.further import recording_dates
 from tumble.result.launch_variances import LaunchVariances, launch_variances, variances_between
 
 if TYPE_CHECKING:
@@ -342,6 +343,10 @@ def _accepted_or_whole(calibration: Calibration) -> Calibration:
 
 def _performed(calibration: Calibration, stated: datetime | None, name: str) -> datetime:
     """Return the date of a calibration: as stated, or of the recording, or of the file."""
+    recorded = max((moment[:10] for moment in recording_dates(calibration)), default="")
+    if stated is not None and f"{stated:%Y-%m-%d}" < recorded:
+        found = f"the day of the recording, or later, found {stated:%Y-%m-%d}"
+        raise InputError(f"{name}: --date: expected {recorded}, {found}; leave --date out or correct it")
     if stated is None:
         place, text = "session.date", calibration.provenance.circumstances.date
         if text is None:

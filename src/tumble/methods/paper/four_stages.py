@@ -66,11 +66,14 @@ from tumble.reduction.turns.turns import Turns
 from tumble.rotation import rotation_matrix
 from tumble.sensors.model import PERFECT_TRIAD, Block, SensorModel, triad_model
 from tumble.sensors.parameters import group_name, units_of
-from tumble.units import Array, IntArray
+from tumble.units import DEGREE_PER_HOUR, Array, IntArray
 
 GYRO_TRIAD = replace(TRIAD, kind="gyro")
 MAX_PASSES = 30
 NEGLIGIBLE = 1e-2  # increments, in uncertainties or steps of the differences
+LARGEST_AZIMUTH = 0.1
+"""Largest azimuth error of TRIAD, rad, for formulas of first order in it; the paper requires biases an order of
+magnitude below the Earth's rate as well."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
@@ -383,6 +386,15 @@ class _SessionData:
             values = after
         return values, False
 
+    def unsettled(self, gyro: SensorModel | None) -> str:
+        """Return a sentence on passes that do not converge, with their cause; `gyro` is the model by `joint`."""
+        cause, earth = "table, mounting or sensors are too far off their nominal values", self.course.earth_rate
+        if gyro is not None:
+            errors = np.linalg.norm(gyro.apply(self.observations.rests.gyro), axis=1) - np.linalg.norm(earth)
+            off, north = float(np.sqrt(np.mean(errors**2))), float(earth[0])
+            cause = weak_north(off, north) if off > LARGEST_AZIMUTH * north else cause
+        return f"the passes of the method {self.method.name} do not converge: {cause}; take the method joint"
+
     def budget(self, derivative: Array, components: VarianceComponents) -> UncertaintyBudget:
         """Return the covariance of values by source, from their derivative (m, d) with respect to the data.
 
@@ -426,6 +438,12 @@ class _SessionData:
         return budget
 
 
+def weak_north(off: float, north: float) -> str:
+    """Return words on gyros that are off by a rate at rest, beside the northward Earth's rate, both rad/s."""
+    size, found = off / DEGREE_PER_HOUR, north / DEGREE_PER_HOUR
+    return f"gyros off by {size:.3g} °/h at rest, with {found:.3g} °/h of Earth's rate to find north by"
+
+
 def iterated(
     observations: Observations, iterations: int = 2, *, method: PaperMethod, intervals: bool = True
 ) -> Estimate:
@@ -444,7 +462,7 @@ def iterated(
     assert by_likelihood.budget is not None
     assert by_likelihood.linearised is not None
     budget = session.budget(derivative, by_likelihood.linearised.components)
-    limit, converged = session.limit(values, turned, np.sqrt(np.diag(budget.covariances.sum(axis=0))))
+    limit, settled = session.limit(values, turned, np.sqrt(np.diag(budget.covariances.sum(axis=0))))
     budget = budget.with_source(source("passes"), np.outer(limit - values, limit - values))
     dof = {each.name: each.dof for each in by_likelihood.budget.sources}
     budget = replace(budget, sources=tuple(replace(each, dof=dof.get(each.name)) for each in budget.sources))
@@ -469,7 +487,8 @@ def iterated(
         turn_sigmas=by_likelihood.turn_sigmas,
         increments=increments,
         fits=by_likelihood.fits,
-        converged=converged and by_likelihood.converged,
+        converged=by_likelihood.converged,
+        reasons=() if settled else (session.unsettled(by_likelihood.gyro),),
         linearised=by_likelihood.linearised,
         hyperparameters=by_likelihood.hyperparameters,
         degrees=np.divide(  # Welch, Satterthwaite

@@ -210,14 +210,9 @@ def columns_by_name(names: Iterable[str], *, suffixed: bool = False) -> Columns:
             triads[kind] = _triad(kind, [by_axis[axis] for axis in "xyz"])
     if ACCEL not in triads and GYRO in triads and all(map(NAMED["in_g"].fullmatch, triads[GYRO].columns)):
         triads[ACCEL] = Sensors(columns=triads.pop(GYRO).columns, unit="g")
-    direction_first = {}  # roll_rate of `RateRoll`
-    for name in names:
-        words = re.sub(r"(roll|pitch|yaw)(?=rate|speed|vel)", r"\1_", "_".join(_words_and_unit(name)[0])).split("_")
-        direction_first[name] = "_".join(sorted(words, key=lambda word: not NAMED["direction"].fullmatch(word)))
     for kind in (ACCEL, GYRO):
-        directed = [next((n for n in names if score(kind, direction_first[n], axis=axis)), None) for axis in "xyz"]
-        if kind not in triads and None not in directed:
-            triads[kind] = _triad(kind, [name for name in directed if name is not None])
+        if kind not in triads and (directed := _by_direction(kind, names)) is not None:
+            triads[kind] = _triad(kind, directed)
     sensors = {column for triad in triads.values() for column in triad.columns}
     times = [name for name in names if name not in ("", "T", *sensors) and _score(TIME_KIND, name)]
     time = max(times, key=lambda name: _score(TIME_KIND, name), default=None)
@@ -234,6 +229,18 @@ def columns_by_name(names: Iterable[str], *, suffixed: bool = False) -> Columns:
         others=(*others, *(name for name in thermometers if name not in temperatures)),
         times=tuple(times),
     )
+
+
+def _by_direction(kind: str, names: Sequence[str]) -> list[str] | None:
+    """Return the columns x, y, z of a kind if their names have directions, such as `RateRoll`; else None."""
+    direction_first = {}  # roll_rate of `RateRoll`
+    for name in names:
+        words = re.sub(r"(roll|pitch|yaw)(?=rate|speed|vel)", r"\1_", "_".join(_words_and_unit(name)[0])).split("_")
+        direction_first[name] = "_".join(sorted(words, key=lambda word: not NAMED["direction"].fullmatch(word)))
+    columns = []
+    for axis in "xyz":
+        columns += [name for name in names if score(kind, direction_first[name], axis=axis)][:1]
+    return columns if len(columns) == len("xyz") else None
 
 
 def _stems(names: Iterable[str], *, suffixed: bool) -> dict[tuple[str, str], dict[str, str]]:

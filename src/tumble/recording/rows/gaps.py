@@ -164,7 +164,7 @@ class Bridge:
 
     def samples(self, stream: Tables) -> Iterator[tuple[Array, Array, Array]]:
         """Yield times and intervals, s, and numbers of all samples, interpolated if lost."""
-        behind, start = 0, 0.0
+        n_lost, start = 0, 0.0  # rows after the last sound one, of which the first are pending; time of the first, s
         for new, unread in stream:
             self.unread |= {u.row: u for u in unread}
             if not len(new):  # no new rows of a growing log
@@ -184,11 +184,11 @@ class Bridge:
                 start = float(rows[0, TIME])
             sound = len(lost) - int(np.argmin(lost[::-1])) if not lost.all() else 0
             self.pending = rows[sound : sound + _BRIDGED_SAMPLES + 1]
-            behind = len(lost) - sound if sound else behind + len(new)
+            n_lost = len(lost) - sound if sound else n_lost + len(new)
             if sound:
                 yield self._repaired(rows[:sound], lost[:sound])
-            ahead, pending = int(new[-1, NUMBER]), {*self.pending[:, NUMBER].astype(int).tolist()}
-            self.unread = {n: u for n, u in self.unread.items() if n > ahead or n in pending}
+            pending = {*self.pending[:, NUMBER].astype(int).tolist()}
+            self.unread = {n: u for n, u in self.unread.items() if n > new[-1, NUMBER] or n in pending}
         # checks at the end of the file
         if self.last is None:
             raise LogError(f"{self.source.path}: expected a log, found no rows; the file is empty")
@@ -200,7 +200,7 @@ class Bridge:
                 hint = f"; is the time {self.spec.time!r} in {unit}, {1e3 * length:.6g} s? State time_unit in [log]"
             raise LogError(f"{self.source.path}: expected at least {_SHORTEST_LOG:g} s, found {length:.6g} s{hint}")
         if len(self.pending):
-            self._leave_out(self.pending, behind, math.nan)
+            self._leave_out(self.pending, n_lost, math.nan)
 
     def _leave_out(self, lost: Array, samples: int, stop: float) -> None:
         """Report lost samples at the start or the end of the file; `lost` are the first of them."""
@@ -214,11 +214,12 @@ class Bridge:
 
         The last row must be sound, as must any row passed on before. All returned numbers are finite."""
         before, self.last = self.last, rows[-1:]
-        new = 0 if before is None else 1
+        new = 0 if before is None else 1  # index of the first new sample
         of_both = [rows] if before is None else [before, rows]
         number, time = (np.concatenate([part[:, column] for part in of_both]) for column in (NUMBER, TIME))
         steps = check_time(self.source, self.spec, number, time)
-        values, after_long = rows[:, READINGS], np.empty(0, dtype=np.int64)
+        values = rows[:, READINGS]
+        after_long = np.empty(0, dtype=np.int64)  # samples after a run that is left out, which have the usual interval
         if lost.any() or steps.max(initial=0.0) > GAP_STEP * self.interval:
             rows = np.concatenate(of_both)
             # missing samples before rows 1, 2, … by their steps in time, at most one more than can be bridged

@@ -204,24 +204,32 @@ class TimedRows:
         pending = np.concatenate([rows[end:], unsure])
         self.pending = pending if len(pending) else None
         rows, late = rows[:end], late[:end]
+        if not late.any():
+            return rows
+        self._leave_out_late(rows, late)
+        return rows[~late]
+
+    def _leave_out_late(self, rows: Array, late: BoolArray) -> None:
+        """Leave out runs of late rows: one by one if as much time passes as they take, else as a gap."""
         at_late = np.flatnonzero(late)
-        for run in np.split(at_late, np.flatnonzero(np.diff(at_late) > 1) + 1) if len(at_late) else ():
-            before = float(rows[run[0] - 1, TIME]) if run[0] else self.last
-            after = float(rows[run[-1] + 1, TIME]) if run[-1] + 1 < end else math.nan
+        for run in np.split(at_late, np.flatnonzero(np.diff(at_late) > 1) + 1):
             first, count = int(rows[run[0], NUMBER]), len(run)
-            falls, passed = float(rows[run, TIME].min()) < before, (after - before) / self.grid.interval
+            before = float(rows[run[0] - 1, TIME]) if run[0] else self.last
+            after = float(rows[run[-1] + 1, TIME]) if run[-1] + 1 < len(rows) else math.nan
+            passed = (after - before) / self.grid.interval
+            falls = float(rows[run, TIME].min()) < before
             if falls:
                 self.falls.append((count, first, before, float(rows[run[0], TIME])))
+            else:
+                self.repeated += count
             if not falls or abs(passed - count - 1.0) < _PASSED_TOLERANCE:
                 what = "a time stamp before that of the row before" if falls else "the time stamp of the row before"
-                self.repeated += 0 if falls else count
                 for row in rows[run, NUMBER].astype(int).tolist():
                     self._leave_out(self._gap(row, before, f"{what}: left out"))
             else:
                 gap = replace(self._gap(first, before, "time stamps that fall back"), time=before, samples=count)
                 gap = replace(gap, stop=after, integrable=False, why="the clock falls back in it")
                 self._leave_out(gap, count)
-        return rows[~late] if len(at_late) else rows
 
     def _gap(self, row: int, before: float, what: str) -> Gap:
         """Return a gap at a row without missing samples; `before` is the time of the row before, s."""

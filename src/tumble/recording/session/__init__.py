@@ -109,8 +109,8 @@ class Device:
     of an autopilot."""
 
     serial: str
-    model: str | None
-    systematic: Path | None
+    model: str | None = None
+    systematic: Path | None = None
     grade: str | None = None
     prior: Mapping[str, float] = field(default_factory=dict)
     imu: Mapping[str, AutopilotSensor] = field(default_factory=dict)
@@ -155,7 +155,7 @@ class Channels:
     scale: Array
     offset: Array
     axes: Array
-    range: float | None
+    range: float | None = None
     scale_stated: bool = True
     doubt: str = ""
 
@@ -221,12 +221,12 @@ class LogSpec:
     stated; `clock_rate`: seconds in a second of the log's clock, by the Earth's rate."""
 
     files: tuple[Path | LogSource, ...]
-    time: str | None
-    time_factor: float
-    rate: float | None
+    time: str | None = None
+    time_factor: float = 1.0
+    rate: float | None = None
     accel: Channels
-    gyro: Channels | None
-    temperature: TemperatureChannels | None
+    gyro: Channels | None = None
+    temperature: TemperatureChannels | None = None
     magnetometer: Channels | None = None
     clock: bool = False
     regular: bool = False
@@ -408,7 +408,7 @@ class Session(Brief):
     device: Device
     site: Site
     log: LogSpec
-    programme: ProgrammeSpec | None
+    programme: ProgrammeSpec | None = None
     excluded: tuple[Exclusion, ...] = ()
     circumstances: Circumstances = UNKNOWN
     description: Mapping[str, Any] = field(default_factory=dict, repr=False, compare=False)

@@ -158,11 +158,8 @@ class MagnetometerTable(SessionTable):
 
     def channels(self) -> Channels:
         """Return the channels in their unit."""
-        one, (scale, offset) = Unit(factor=1.0, kind="rate"), (np.ones(3), np.zeros(3))
-        columns = tuple(self.columns)
-        return Channels(
-            columns=columns, unit=one, unit_name=self.unit, scale=scale, offset=offset, axes=np.eye(3), range=None
-        )
+        columns, one, ones = tuple(self.columns), Unit(factor=1.0, kind="rate"), np.ones(3)
+        return Channels(columns=columns, unit=one, unit_name=self.unit, scale=ones, offset=np.zeros(3), axes=np.eye(3))
 
 
 class TemperatureTable(SessionTable):

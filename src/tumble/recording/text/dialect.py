@@ -110,6 +110,7 @@ def top_of(lines: tuple[str, ...], dialect: Dialect) -> Top | None:
         empty, *others = dialect.cells(lines[0])
         if not empty and others == [str(k) for k in range(len(others))]:
             del rows[0]
+    # the first row that is as wide as the next one, or the last
     data_rows = [(i, width) for i, width in rows.items() if not dialect.is_comment(lines[i])]
     following = [width for _, width in data_rows[1:]] + [None]
     first = next((i for (i, width), after in zip(data_rows, following, strict=False) if after in (None, width)), None)

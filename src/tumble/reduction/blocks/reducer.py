@@ -20,7 +20,7 @@ from tumble.recording.rows.gaps import Gap
 from tumble.reduction import kernels as _kernels
 from tumble.reduction.blocks.motion_samples import MotionSamples
 from tumble.reduction.blocks.tuning import USUAL, Tuning
-from tumble.reduction.turns.array_motion import FEWEST
+from tumble.reduction.turns.array_motion import FEWEST_OF_ARRAY
 from tumble.rotation import onto_body
 from tumble.sensors.model import Block, left_null_space
 from tumble.units import Array, BoolArray, IntArray
@@ -28,6 +28,8 @@ from tumble.units import Array, BoolArray, IntArray
 BLOCK_SECONDS = 0.1
 SHORTEST_HELD_RUN = 6  # repeated rows in a run that cost a turn; fewer lost samples are bridged
 MOST_HELD = 0.05  # fraction of the rows of a log up to which those that repeat can be held
+HELD_TOGETHER = 0.8  # least ratio of repeated rows to the repeats of any channel if channels repeat only together
+FREQUENT_REPEATS = 0.7  # of the samples of every channel: more show coarse channels, or a log faster than its sensors
 MOST_RUNS = 1000  # of repeated rows that are kept; more show how a log is sampled
 HELD_BY_CHANCE = 1e-3  # greatest expected number of such runs in a log if its channels repeat independently
 GAP_INTERVALS = 2.0  # uncovered time between two samples, in sample intervals, beyond which it is a gap, not jitter
@@ -162,10 +164,10 @@ class Reduction:
 
         Rows are held if hardly any channel repeats without all the others, or if channels that repeat independently in
         a `held_share` of the log would rarely do so together."""
-        samples = self.accel_channels[0].samples
+        samples, rows = self.accel_channels[0].samples, self.repeated_rows
         fewest = min(channel.repeats for channel in self.accel_channels + self.gyro_channels)
-        together = self.repeated_rows >= 0.8 * fewest and fewest <= 0.7 * samples
-        return self.repeated_rows if together or self.repeated_rows > 3.0 * self._runs_by_chance(1) + 3.0 else 0
+        together = rows >= HELD_TOGETHER * fewest and fewest <= FREQUENT_REPEATS * samples
+        return rows if together or rows > 3.0 * self._runs_by_chance(1) + 3.0 else 0
 
     @property
     def held_runs(self) -> tuple[Gap, ...]:
@@ -182,6 +184,47 @@ class Reduction:
         channels = self.accel_channels + self.gyro_channels
         shares = [min(1.0, channel.repeats / max(at_rest, 1.0)) for channel in channels]
         return float(at_rest * np.prod(shares) ** length)
+
+
+class _RepeatedRows:
+    """Rows in which all accelerometers and gyros repeat the row before: their number, and their runs as gaps."""
+
+    def __init__(self) -> None:
+        self.count, self.runs = 0, list[Gap]()
+        self.begin_file()
+
+    def begin_file(self) -> None:
+        """Begin a file: its first row repeats none."""
+        self.last: tuple[Array, ...] = ()  # readings of the last row
+        self.length, self.since = 0, 0.0  # rows of the run under way, and its start, s
+
+    def feed(self, chunk: Chunk, readings: tuple[Array, ...]) -> None:
+        """Add the rows of a chunk, with the `readings` (m, n) of accelerometers and gyros."""
+        rows = np.flatnonzero(chunk.accel[1:, 0] == chunk.accel[:-1, 0])
+        for values in readings:
+            rows = rows[(values[rows + 1] == values[rows]).all(axis=1)]
+        repeats = np.zeros(len(chunk.time), dtype=bool)
+        repeats[rows + 1] = True
+        if self.last:
+            repeats[0] = all(np.array_equal(v[0], last) for v, last in zip(readings, self.last, strict=True))
+        self.last = tuple(values[-1].copy() for values in readings)
+        self.count += int(np.count_nonzero(repeats))
+        self._add_runs(chunk, repeats)
+
+    def _add_runs(self, chunk: Chunk, repeats: BoolArray) -> None:
+        """Add the runs of repeated rows of a chunk; one at its end is under way in the next chunk."""
+        before, since = self.length, self.since  # the rows of a run under way have negative numbers here
+        edges = np.flatnonzero(np.diff(repeats, prepend=before > 0, append=False))
+        runs = np.concatenate([[-before] * (before > 0), edges]).astype(int).reshape(-1, 2)
+        self.length = 0
+        for start, stop in runs[(runs[:, 1] - runs[:, 0] >= SHORTEST_HELD_RUN) | (runs[:, 1] == len(repeats))].tolist():
+            length, time = stop - start, since if start < 0 else float(chunk.time[start])
+            if stop == len(repeats):
+                self.length, self.since = length, time
+            elif len(self.runs) < MOST_RUNS:
+                why = f"{length} of its samples repeat the one before, as held in place of lost ones"
+                gap = Gap(file=chunk.file, row=0, time=time, samples=length, what="held samples", why=why)
+                self.runs.append(replace(gap, stop=float(chunk.time[stop]), integrable=False))
 
 
 class _Channels:
@@ -245,24 +288,38 @@ class Reducer:
         self._channels = {
             kind: _Channels(n, self.size, increments=increments.get(kind, False)) for kind, n in sensors.items()
         }
-        self._files: list[FileBlocks] = []
-        self._file, self._first, self._count = -1, 0, 0
-        self._edge, self._stop, self._uncovered = 0.0, 0.0, 0.0
-        self._blocks, self._columns = list[Array](), np.zeros(0, dtype=np.int64)  # tables of blocks, and their parts
-        is_array = gyro is not None and accel.size >= FEWEST
+        is_array = gyro is not None and accel.size >= FEWEST_OF_ARRAY
         self._null_spaces = [left_null_space(block.axes) for block in (accel, gyro) if block is not None and is_array]
         self._to_body = [onto_body(block.axes).T for block in (accel, gyro) if block is not None]
         self._stored = MotionSamples(sum(map(len, self._null_spaces))) if gyro else None
-        self._lost = self._repeated = 0
-        self._last: tuple[Array, ...] = ()
-        self._runs, self._run = list[Gap](), (0, 0.0)  # of repeated rows; the length and start, s, of the present one
+        self._repeated, self._lost = _RepeatedRows(), 0
+        self._files: list[FileBlocks] = []  # the complete ones
+        # the present file: its number, its first sample among all, its samples so far, and the end of the last, s
+        self._file, self._first, self._count, self._stop = -1, 0, 0, 0.0
+        # the end of its last whole block, s, and the time after it that no sample covers, s
+        self._edge, self._uncovered = 0.0, 0.0
+        self._blocks, self._columns = list[Array](), np.zeros(0, dtype=np.int64)  # tables of blocks, and their parts
 
     def feed(self, chunk: Chunk) -> None:
         """Add the next samples of the log."""
         if chunk.file != self._file:
             self._begin_file(chunk)
-        # the time, s, in each block that no sample covers; the last block is under way
-        uncovered = chunk.time - chunk.dt - np.append(self._stop, chunk.time[:-1])
+        self._add_blocks(chunk)
+        readings = (chunk.accel,) if chunk.gyro is None else (chunk.accel, chunk.gyro)
+        if self._stored is not None and chunk.gyro is not None:
+            # components of an array's readings that no force or rate explains
+            spare = [v @ null_space.T for v, null_space in zip(readings, self._null_spaces, strict=False)]
+            forces, rates = (v @ to_body for v, to_body in zip(readings, self._to_body, strict=True))
+            self._stored.append(rates, forces, chunk.dt, np.hstack(spare) if spare else None)
+        self._repeated.feed(chunk, readings)
+        late = chunk.dt[chunk.dt > 1.5 / self.rate]
+        self._lost += int(np.round(late * self.rate).sum()) - len(late)
+        self._count += len(chunk.time)
+        self._stop = float(chunk.time[-1])
+
+    def _add_blocks(self, chunk: Chunk) -> None:
+        """Add the samples of a chunk to the blocks, the last of which may remain incomplete."""
+        uncovered = chunk.time - chunk.dt - np.append(self._stop, chunk.time[:-1])  # time before each sample, s
         uncovered[uncovered <= GAP_INTERVALS / self.rate] = 0.0
         block = (self._count % self.size + np.arange(len(uncovered))) // self.size
         ends = np.arange(self.size - 1 - self._count % self.size, len(chunk.time), self.size)
@@ -275,27 +332,6 @@ class Reducer:
         kelvin = np.empty((len(ends), 0)) if chunk.temperature is None else chunk.temperature[ends]
         if len(ends):
             self._blocks.append(np.hstack([edges[1:, None], kelvin, *chain.from_iterable(by_kind)]))
-        readings = (chunk.accel,) if chunk.gyro is None else (chunk.accel, chunk.gyro)
-        if self._stored is not None and chunk.gyro is not None:
-            # components of an array's readings that no force or rate explains
-            spare = [v @ null_space.T for v, null_space in zip(readings, self._null_spaces, strict=False)]
-            forces, rates = (v @ to_body for v, to_body in zip(readings, self._to_body, strict=True))
-            self._stored.append(rates, forces, chunk.dt, np.hstack(spare) if spare else None)
-        # rows that are equal to the row before; the first row of a file has none before it
-        repeats = np.zeros(len(chunk.time), dtype=bool)
-        if self._last:
-            repeats[0] = all(np.array_equal(v[0], last) for v, last in zip(readings, self._last, strict=True))
-        rows = np.flatnonzero(chunk.accel[1:, 0] == chunk.accel[:-1, 0])
-        for values in readings:
-            rows = rows[(values[rows + 1] == values[rows]).all(axis=1)]
-        repeats[rows + 1] = True
-        self._repeated += int(np.count_nonzero(repeats))
-        self._add_runs(chunk, repeats)
-        self._last = tuple(values[-1].copy() for values in readings)
-        late = chunk.dt[chunk.dt > 1.5 / self.rate]
-        self._lost += int(np.round(late * self.rate).sum()) - len(late)
-        self._count += len(chunk.time)
-        self._stop = float(chunk.time[-1])
 
     def _begin_file(self, chunk: Chunk) -> None:
         """Begin the file of a chunk. The first row of its table is that before the first block."""
@@ -303,29 +339,14 @@ class Reducer:
             self._files.append(self._file_so_far())
         for channels in self._channels.values():
             channels.begin_file()
+        self._repeated.begin_file()
         self._file, self._first, self._count = chunk.file, self._first + self._count, 0
-        self._last, self._run = (), (0, 0.0)
         self._edge = self._stop = float(chunk.time[0] - chunk.dt[0])
         self._uncovered, n_thermometers = 0.0, 0 if chunk.temperature is None else chunk.temperature.shape[1]
         sensors = [len(channels.state) for channels in self._channels.values()]
         widths = 1, n_thermometers, *(width for n in sensors for width in (n, n, 1))
         self._columns = np.cumsum(widths)
         self._blocks = [np.append(self._edge, np.zeros(self._columns[-1] - 1))[None]]
-
-    def _add_runs(self, chunk: Chunk, repeats: BoolArray) -> None:
-        """Add the runs of rows (m,) of a chunk that repeat the row before; one at its end may go on in the next."""
-        begun, since = self._run  # the rows of a run that began in an earlier chunk have negative numbers here
-        edges = np.flatnonzero(np.diff(repeats, prepend=begun > 0, append=False))
-        runs = np.concatenate([[-begun] * (begun > 0), edges]).astype(int).reshape(-1, 2)
-        self._run = 0, 0.0
-        for start, stop in runs[(runs[:, 1] - runs[:, 0] >= SHORTEST_HELD_RUN) | (runs[:, 1] == len(repeats))].tolist():
-            length, time = stop - start, since if start < 0 else float(chunk.time[start])
-            if stop == len(repeats):
-                self._run = length, time
-            elif len(self._runs) < MOST_RUNS:
-                why = f"{length} of its samples repeat the one before, as held in place of lost ones"
-                gap = Gap(file=chunk.file, row=0, time=time, samples=length, what="held samples", why=why)
-                self._runs.append(replace(gap, stop=float(chunk.time[stop]), integrable=False))
 
     def _file_so_far(self) -> FileBlocks:
         """Return the blocks of the present file so far."""
@@ -357,8 +378,8 @@ class Reducer:
             samples=self._stored,
             magnetometer_channels=self._channels["magnetometer"].states(),
             lost=self._lost,
-            repeated_rows=self._repeated,
-            runs=tuple(self._runs),
+            repeated_rows=self._repeated.count,
+            runs=tuple(self._repeated.runs),
             clock_rate=self.clock_rate,
         )
 

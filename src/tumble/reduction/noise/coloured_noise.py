@@ -38,7 +38,7 @@ MAX_ORDER = 32  # of the autoregressive process: a memory of a quarter of the ba
 LEVEL_SIGMAS = 5.0  # standard deviations of the variance of a rest beyond which it has its own level: 6e-7 by chance
 LONG_RATIO = 2.0
 STRAIGHT_SIGMAS = 2.3  # standard deviations by which rests have to be straighter than their noise: 1 % by chance
-WHITE = 4.0 / 3.0  # `ColouredNoise.arising` of white noise
+WHITE = 4.0 / 3.0  # `ColouredNoise.moment_ratio` of white noise
 MIN_VARIANCE_RATIO = 1e-3  # to that of white noise: quantisation gives more, rounding errors may give less
 NEGLIGIBLE = 1e-9  # relative autocovariance below which it counts as zero
 
@@ -61,9 +61,11 @@ class ColouredNoise:
         """Return the variance (c,) of a mean over blocks, at level 1."""
         return _variance_of_mean(self.autocovariance, np.array([blocks / self.batch]))[:, 0]
 
-    def arising(self, blocks: float) -> float:
-        """Return the time at which the noise of an integral over T = `blocks` arises: the variance of ∫ (T − t) n dt
-        over T²/4 times that of ∫ n dt, over all channels. It is 4/3 for white noise and 1 for constant noise."""
+    def moment_ratio(self, blocks: float) -> float:
+        """Return the variance of ∫ (T − t) n dt over T²/4 times that of ∫ n dt, T = `blocks`, over all channels.
+
+        By this factor errors of rate n add more to the velocity of a turn than a constant one with the same rotation:
+        4/3 for white noise, 1 for constant noise."""
         r, K = self.autocovariance.sum(axis=0), blocks / self.batch  # noise is white within batches
         lags = np.arange(1, min(len(r), int(K)))
         k, later = K - lags, r[lags]
@@ -106,18 +108,16 @@ def _fit(rests: Sequence[Array]) -> ColouredNoise:
     batch = max(1, round(float(np.median([len(rest) for rest in rests])) / BATCHES))
     centred = _centred(rests, batch)
     longest, channels = max(len(c) for c in centred), centred[0].shape[1]
-    series = [[x[:, c] for x in centred] for c in range(channels)]
+    series = [[x[:, c] for x in centred] for c in range(channels)]  # of every channel, by rests
     level, is_sloping = np.ones((len(centred), channels)), np.zeros(channels, dtype=bool)
-    for _ in range(5):  # until no further rest has its own level
-        scaled = [[x / s for x, s in zip(of_c, np.sqrt(level[:, c]), strict=True)] for c, of_c in enumerate(series)]
+    for _ in range(5):  # until no further channel is sloping, and no further rest has its own level
+        scaled = [[x / s for x, s in zip(series[c], np.sqrt(level[:, c]), strict=True)] for c in range(channels)]
         filters, autocovariance = _fit_channels(scaled, longest, is_sloping)
-        each = zip(is_sloping, scaled, autocovariance, strict=True)
-        newly_sloping = np.array([not known and _is_straight(x, r) for known, x, r in each])
-        if newly_sloping.any():
-            is_sloping |= newly_sloping
-            for c in np.flatnonzero(newly_sloping):
-                lines = [_line(len(x)) for x in series[c]]
-                series[c] = [x - (line @ x) * line for x, line in zip(series[c], lines, strict=True)]
+        straight = [c for c in range(channels) if not is_sloping[c] and _is_straight(scaled[c], autocovariance[c])]
+        if straight:
+            is_sloping[straight] = True
+            for c in straight:
+                series[c] = [x - (_line(len(x)) @ x) * _line(len(x)) for x in series[c]]
             continue
         levels = np.column_stack([_levels(x, r) for x, r in zip(series, autocovariance, strict=True)])
         if np.array_equal(levels == 1.0, level == 1.0):
@@ -125,13 +125,13 @@ def _fit(rests: Sequence[Array]) -> ColouredNoise:
         level = levels
     innovations = np.array(
         [
-            np.concatenate([x[:0] if len(x) < len(f) else np.convolve(x, f, mode="valid") for x in of_c])
-            for of_c, f in zip(scaled, filters, strict=True)
+            np.concatenate([x[:0] if len(x) < len(f) else np.convolve(x, f, mode="valid") for x in rests_of_channel])
+            for rests_of_channel, f in zip(scaled, filters, strict=True)
         ]
     )
-    moments = innovations @ innovations.T  # channels without noise are uncorrelated
+    moments = innovations @ innovations.T
     scale = np.sqrt(np.diag(moments))
-    scale[scale == 0.0] = np.inf
+    scale[scale == 0.0] = np.inf  # channels without noise are uncorrelated
     correlation = np.where(np.eye(channels) > 0, 1.0, moments / np.outer(scale, scale))
     return ColouredNoise(batch=batch, autocovariance=autocovariance, correlation=correlation, level=level)
 
@@ -179,14 +179,16 @@ def _fit_channels(channels: list[list[Array]], longest: int, is_sloping: BoolArr
 
     The series of a channel are lists by rests, less the mean of each rest, and less its line if `is_sloping`."""
     lengths = np.array([len(x) for x in channels[0]])
-    order_limit, total = min(MAX_ORDER, int(np.median(lengths)) // 4), int(lengths.sum())
+    middle, total = int(np.median(lengths)), int(lengths.sum())
+    order_limit = min(MAX_ORDER, middle // 4)
     raw = np.array([_products(series, order_limit) for series in channels])
     pairs = np.maximum(lengths - np.arange(order_limit + 1)[:, None], 0)
     raw /= pairs.sum(axis=1)  # another divisor shortens the memory
     noisy = np.flatnonzero(raw[:, 0] > 0.0)
     filters, autocovariance = np.ones((len(channels), 1)), np.zeros((len(channels), longest))
     distinct, counts = np.unique(lengths[lengths > 0], return_counts=True)
-    shares, middle = distinct * counts / total, int(np.median(lengths))
+    shares = distinct * counts / total
+    # what the autocovariances lose by subtracting the means and the lines, iterated until it converges
     mean_loss, line_loss = np.zeros(len(channels)), np.zeros(raw.shape)
     n_parameters = np.arange(order_limit + 1) + 1.0
     penalty = 2.0 * len(noisy) * n_parameters * total / (total - n_parameters - 1.0)

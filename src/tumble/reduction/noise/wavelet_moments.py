@@ -336,7 +336,8 @@ def _select(variance: Array, moments: _Moments, error: float) -> tuple[_Fit, _Fi
     columns = _slopes(tau, grid) / (np.sqrt(tau) * variance)[:, None]
     size = np.linalg.norm(columns, axis=0)
     smooth = _Fit(squares=nnls(columns / size, 1.0 / np.sqrt(tau))[0] / size, times=grid)
-    weighting, tried, fitted = _Weighting.by(smooth, moments, error), set[str](), dict[str, tuple[_Fit, _Weighting]]()
+    weighting = _Weighting.by(smooth, moments, error)
+    tried, fitted = set[str](), dict[str, tuple[_Fit, _Weighting]]()  # sums in words; their fits with their weightings
     for _ in range(2):
         for start in sorted(_by_grid(variance, tau, grid, weighting), key=lambda fit: fit.cost)[:MAX_FITTED]:
             if start.words not in tried:

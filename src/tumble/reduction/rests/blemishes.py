@@ -201,7 +201,7 @@ def _bad_run(
             others = _off_cubic(np.where(beyond, 0.0, near))
             far = np.delete(others, np.r_[about], axis=0).max(axis=0)
             disturbed = others[about].max(axis=0) > np.maximum(tuning.band_beyond * far, least)
-            if not disturbed.any():  # else a step of the rate that acts on a lever arm
+            if not disturbed.any():  # otherwise the rate steps, and with it the forces of its lever arm
                 yield from ((first + i, row) for i, row in enumerate(np.where(beyond, cubic, values[run])))
                 return
 

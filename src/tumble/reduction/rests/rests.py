@@ -67,7 +67,6 @@ class Rests:
     ) -> Rests:
         """Return rests of one file with mean readings (N, n) in white noise of these densities of accelerometers and
         gyros."""
-
         columns = dict[str, Any]()
         for kind, readings, density in zip(FLOORS, (accel, gyro), densities, strict=True):
             variance = density**2 / (stop - start) + FLOORS[kind] ** 2
@@ -119,20 +118,20 @@ def reduced_rests(
         kelvin_at_lag = warmth
     columns, noise, rounded = dict[str, Any](), dict[str, ColouredNoise](), dict[str, Rounding]()
     for kind, block in (("accel", accel), ("gyro", gyro), ("magnetometer", None)):
-        mean = np.array([getattr(f, kind).mean(span.start, span.stop) for f, span in pairs])
         channels: Sequence[ChannelState] = getattr(reduction, f"{kind}_channels")
         if not channels:
-            columns |= (
-                {} if kind == "magnetometer" else _columns_of(kind, mean, np.zeros((len(mean), 0, 0)), mean, mean)
-            )
+            if kind == "gyro":
+                none = np.zeros((len(spans), 0))
+                columns |= _columns_of(kind, none, np.zeros((len(spans), 0, 0)), none, none)
             continue
+        mean = np.array([getattr(f, kind).mean(span.start, span.stop) for f, span in pairs])
         series = [getattr(f, kind).means[span] for f, span in pairs]
         quiet = series
         if kind == "accel" and sway is not None:
             quiet = [y - force @ accel.axes.T for y, force in zip(series, sway.force, strict=True)]
         if block is not None:
             quiet = without_warming(quiet, kelvin_at_lag, block.thermometer)
-        if kind != "accel" or gyro is not None:
+        if kind != "accel" or gyro is not None:  # that of accelerometers is for the velocities of turns
             noise[kind] = fit_coloured_noise(quiet)
         if kind == "accel":
             covariance = accel_covariance(quiet, accel)

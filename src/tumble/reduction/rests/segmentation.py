@@ -131,8 +131,8 @@ class Segmentation:
     and for the scatter of the specific force, m/s². `jump`: jump of the gyro level at rest (3,), rad/s, if there is
     one, and `jump_at`: file and start, s, of the rest after it. `stated_rate`: sample rate, Hz, of a log without time
     stamps, on which durations depend. `tuning`: thresholds of the search. `still_at_end`: whether the device is
-    motionless at the end of the log. `programme`, `position`: the programme to which the rests were matched, and the
-    position index (N,) of each rest in it."""
+    motionless at the end of the log, also if the session excludes that time. `programme`, `position`: the programme to
+    which the rests were matched, and the position index (N,) of each rest in it."""
 
     json_fields: ClassVar = ("scatter_limit", "rate_limit", "rejected")
 
@@ -417,7 +417,7 @@ class _RestSearch:
             warming = 0.0 if f.temperature is None else float(np.ptp(f.temperature[first:last], axis=0).max())
             tilt_limit = tuning.tilt + tuning.tilt_per_kelvin * warming
             if too_short or rest.last - rest.first < tuning.fewest_blocks:
-                if duration > 0.5:
+                if duration > 0.5:  # s: a shorter one is no attempt at a rest
                     rejected.append(Stretch.too_short(f, (first, last), self.usual))
             elif tilt > tilt_limit:
                 at_most = f"in a rest at most {tilt_limit / DEGREE:.2g}°"
@@ -448,7 +448,8 @@ class _RestSearch:
     def _extended_span(self, span: Span, rate: Array | None) -> Span:
         """Return a span with its ends moved."""
         first, last = span
-        k, tenth, half = bisect_right(self.edges, first), (last - first) // 10, min(self.window, last - first) // 2
+        tenth, half = (last - first) // 10, min(self.window, last - first) // 2
+        k = bisect_right(self.edges, first)  # the file is blocks edges[k − 1] … edges[k] − 1
         signals = []
         for values, rounding in ((self.force, self.force_step), (rate, self.rate_step)):
             if values is not None:

@@ -57,35 +57,39 @@ def sway_of(reduction: Reduction, spans: Sequence[Stretch]) -> Sway | None:
     gyros."""
     if reduction.samples is None:
         return None
-    files, samples = [reduction.by_file[span.file] for span in spans], reduction.samples
-    ends, columns, across, densities = [(span.first, span.last) for span in spans], [], [], []
-    for f, (first, last) in zip(files, ends, strict=True):
-        rate, force, dt, path = _motion(samples, f, first, min(last, first + LONGEST))
-        up, fourth = unit_vector(force.mean(axis=0)), np.diff(rate * dt[:, None], n=4, axis=0)
+    samples, files = reduction.samples, [reduction.by_file[span.file] for span in spans]
+    columns, across, densities = [], [], []
+    for f, span in zip(files, spans, strict=True):
+        rate, force, dt, path = _motion(samples, f, span.first, min(span.last, span.first + LONGEST))
+        fourth = np.diff(rate * dt[:, None], n=4, axis=0)
         densities.append((fourth**2).sum(axis=0) / (FOURTH_DIFFERENCES * dt[4:].sum()))
+        # mean angular acceleration in each block, from the rates at its edges
         padded = np.concatenate([2.0 * rate[:1] - rate[1:2], rate, 2.0 * rate[-1:] - rate[-2:-1]])
         acceleration = 0.5 * np.diff(padded[: -1 : f.size] + padded[1 :: f.size], axis=0) / (f.size * dt.mean())
+        up = unit_vector(force.mean(axis=0))
         level = np.eye(3) - np.outer(up, up)
-        by_levers = level @ skew(acceleration)
-        columns.append(_detrended(np.concatenate([np.cross(up, _means(path, f))[..., None], by_levers], axis=2)))
+        by_tilt, by_levers = np.cross(up, _means(path, f))[..., None], level @ skew(acceleration)
+        columns.append(_detrended(np.concatenate([by_tilt, by_levers], axis=2)))
         across.append(_detrended((_means(force, f) @ level)[..., None])[..., 0])
     p, δ = np.concatenate(columns), np.concatenate(across)
-    s, size = np.einsum("ikcj,ikc->ij", p, δ), np.sqrt((p**2).sum(axis=(0, 1, 2)))
+    s = np.einsum("ikcj,ikc->ij", p, δ)
+    size = np.sqrt((p**2).sum(axis=(0, 1, 2)))
     if not (len(s) and size.all() and np.isfinite(s).all() and np.isfinite(size).all()):
         return None  # too short, or damaged
     s, p = s / size, p / size
-    t, normal, (n, m) = s.sum(axis=0), np.einsum("ikcj,ikcl->jl", p, p), s.shape
+    t, (n, m) = s.sum(axis=0), s.shape
     W = float(t @ np.linalg.lstsq(s.T @ s, t, rcond=SINGULAR)[0])
     if n <= m or scipy.special.fdtrc(m, n - m, (n - m) / m * W / max(n - W, SINGULAR)) > SWAY_SIGNIFICANCE:
         return None
     # variance of the tilt that both kinds of sensors show, and that of the integrated gyro noise in the median rest
+    normal = np.einsum("ikcj,ikcl->jl", p, p)
     explained = float(t @ np.linalg.lstsq(normal, t, rcond=SINGULAR)[0] / (δ**2).sum()) * size[0] ** 2 / (δ.size / 3)
-    density, longest = np.median(densities, axis=0), np.median([r.stop - r.start for r in spans])
-    if 0.5 * explained <= density.mean() * longest / 3.0:
+    density = np.median(densities, axis=0)
+    if 0.5 * explained <= density.mean() * np.median([span.stop - span.start for span in spans]) / 3.0:
         return None
     angles, shortened, effects = [], [], []
-    for f, (first, last) in zip(files, ends, strict=True):
-        _, force, _, path = _motion(samples, f, first, last)
+    for f, span in zip(files, spans, strict=True):
+        _, force, _, path = _motion(samples, f, span.first, span.last)
         squares, mean = path.T @ path / len(path), force.mean(axis=0)
         up = unit_vector(mean)
         angles.append(np.trace(squares) / 3.0)

@@ -23,11 +23,11 @@ from dataclasses import replace
 import numpy as np
 
 from tumble.reduction.observations import Observations
+from tumble.reduction.rests.segmentation import NORMAL_MEDIAN
 from tumble.reduction.rests.thermometer import STEP, Thermometers
 from tumble.units import Array
 
 SQUARED_WEIGHTS = 4.375  # variance of d_i of Eq. (1) over that of a level
-MEDIAN = 0.6745  # of the absolute value of a standard normal variable
 LEAST_STEP = 0.9  # of a step, by rounding
 MAX_PARABOLA, PARABOLA_ERRORS = 10, 1.5
 """Most levels that a parabola is fitted to, and its largest rms deviation from them, in errors of a level."""
@@ -40,22 +40,26 @@ def with_thermometer_errors(observations: Observations, readings: Mapping[int, t
     one per second, which are used if the readings have no steps."""
     thermometers, rests = observations.thermometers, observations.rests
     assert thermometers is not None
-    middle, files = 0.5 * (rests.start + rests.stop), dict[int, tuple[float, Array]]()
-    variance, kelvin = np.zeros((len(rests), thermometers.count)), np.zeros((len(rests), thermometers.count))
+    files = dict[int, tuple[float, Array]]()
+    variance, kelvin = np.zeros((2, len(rests), thermometers.count))
     for file, (start, record) in thermometers.files.items():
-        smooth, in_file, seconds = record.copy(), rests.file == file, np.asarray(start + STEP * np.arange(len(record)))
-        at, rest_start, rest_stop = middle[in_file], rests.start[in_file], rests.stop[in_file]
+        smooth, seconds = record.copy(), np.asarray(start + STEP * np.arange(len(record)))
+        in_file = rests.file == file
+        rest_start, rest_stop = rests.start[in_file], rests.stop[in_file]
+        middle = 0.5 * (rest_start + rest_stop)
+        close_time, close = readings[file]
         for t, column in enumerate(record.T):
-            time, close = readings[file][0], readings[file][1][:, t]
-            time, level = level_crossings(time, close) if has_steps(close) else level_crossings(seconds, column)
+            by_steps = has_steps(close[:, t])
+            time, level = level_crossings(close_time, close[:, t]) if by_steps else level_crossings(seconds, column)
             smooth[:, t] = curve_through(time, level, seconds, column)
+            # m: levels crossed in a rest, or its part of the time between the two crossings about its middle
             crossed = np.searchsorted(time, rest_stop) - np.searchsorted(time, rest_start)
-            ends, after = np.concatenate([seconds[:1], time, seconds[-1:]]), np.searchsorted(time, at)
-            n_levels = np.maximum(crossed, (rest_stop - rest_start) / (ends[after + 1] - ends[after]))
+            ends, after = np.concatenate([seconds[:1], time, seconds[-1:]]), np.searchsorted(time, middle)
+            m = np.maximum(crossed, (rest_stop - rest_start) / (ends[after + 1] - ends[after]))
             straight = np.interp(seconds, time, level) if len(time) else column
-            bend = np.interp(at, seconds, smooth[:, t] - straight)
-            variance[in_file, t] = (level_error(time, level) ** 2 + bend**2 / 3.0) / n_levels
-            kelvin[in_file, t] = np.interp(at, seconds, smooth[:, t])
+            B = np.interp(middle, seconds, smooth[:, t] - straight)
+            variance[in_file, t] = (level_error(time, level) ** 2 + B**2 / 3.0) / m
+            kelvin[in_file, t] = np.interp(middle, seconds, smooth[:, t])
         files[file] = start, smooth
     same_file = np.diff(rests.file) == 0
     covariances = {}
@@ -152,4 +156,4 @@ def level_error(time: Array, level: Array) -> float:
     share = (time[1:-1] - time[:-2]) / (time[2:] - time[:-2])
     r = level[1:-1] - (1.0 - share) * level[:-2] - share * level[2:]
     d = r[1:-1] - 0.5 * (r[:-2] + r[2:])
-    return float(np.median(np.abs(d)) / (MEDIAN * np.sqrt(SQUARED_WEIGHTS)))
+    return float(np.median(np.abs(d)) / (NORMAL_MEDIAN * np.sqrt(SQUARED_WEIGHTS)))

@@ -29,8 +29,8 @@ from tumble.sensors.model import Block, left_null_space
 from tumble.sensors.parameters import PAIRS
 from tumble.units import Array, BoolArray
 
-FEWEST = 7  # accelerometers that determine more than the force and the angular acceleration
-SLOWEST = 4.0  # (rad/s)²: slower motion does not determine lever arms
+FEWEST_OF_ARRAY = 7  # accelerometers that determine more than the force and the angular acceleration
+SLOWEST = 4.0  # (rad/s)², of |ω|² + |dω/dt|: slower motion does not determine lever arms
 SAMPLES_PER_COLUMN = 10  # fewest samples in motion per component of x
 CLASSES, QUIETEST = 64, 1e-6  # classes of residual mean square, (m/s²)², each √2 times the one before, from QUIETEST
 BATCH_SAMPLES = 2**14
@@ -69,7 +69,7 @@ def array_moments(
 
     `parts`: stored samples start … stop − 1 that are used. `blocks`: accelerometers and gyros. `extremes`: smallest and
     largest readings (2, n) of each in the log, SI. `at_rest`: rate (3,) that the gyros read at rest, rad/s."""
-    if blocks[0].size < FEWEST:
+    if blocks[0].size < FEWEST_OF_ARRAY:
         return None
     columns = columns_of(blocks[0].size)
     width = columns["jerk"].stop
@@ -133,11 +133,18 @@ def _in_motion(
         span = (0.5 * intervals[:-2] + intervals[1:-1] + 0.5 * intervals[2:])[:, None]
         turning, jerk = ((v[2:] - v[:-2]) / span for v in (rates, forces))
         second = (rates[2:] - 2.0 * rates[1:-1] + rates[:-2]) / (0.5 * span) ** 2
-        inner, force, one = rates[1:-1], forces[1:-1], np.ones((len(span), 1))
-        change = _products(inner, turning) + _products(turning, inner)
-        bend = _products(inner, second) + 2.0 * _products(turning, turning) + _products(second, inner)
-        x = one, readings[1:-1], _products(inner, inner), change, bend, turning, _products(force, force), jerk
-        moves = (inner**2).sum(axis=1) + np.linalg.norm(turning, axis=1) > SLOWEST
+        rate, force = rates[1:-1], forces[1:-1]
+        x = [
+            np.ones((len(span), 1)),
+            readings[1:-1],
+            _products(rate, rate),
+            _products(rate, turning) + _products(turning, rate),
+            _products(rate, second) + 2.0 * _products(turning, turning) + _products(second, rate),
+            turning,
+            _products(force, force),
+            jerk,
+        ]
+        moves = (rate**2).sum(axis=1) + np.linalg.norm(turning, axis=1) > SLOWEST
         yield np.concatenate(x, axis=1)[moves & usable[:-2] & usable[1:-1] & usable[2:]]
 
 

@@ -6,14 +6,15 @@ velocity V and position P, resolved in the body frame at the first node,
     C = Π C_p,   V = Σ R V_p,   P = Σ (V_before T_p + R P_p),   R the rotation before part p.
 
 Each link is integrated in PARTS, whose sensitivities are those of short turns (`tumble.reduction.turns.moments`). With
-[φ | V | P] the first-order change of a link, and that of a part with index p, the parts are joined by
+[φ | δV | δP] the first-order change of a link, and that of a part with index p, the parts are joined by
+(docs/explanation/mathematics.md (42))
 
     φ ← φ + R φ_p,   δV ← δV + φ × R V_p + R δV_p,   δP ← δP + T_p δV + φ × R P_p + R δP_p,
 
-where δV on the right is that before the part. Within a part, the velocity from an accelerometer error grows with time,
-and that from a rotation, ½ φ_p × V_p in all, with its square, so that δP_p = T_p (½ δV_p − φ_p × V_p/12) to a relative
-error of ω T_p/6. White noise of the samples follows the same recursion, as rotations and velocities that arise in each
-part.
+where φ and δV on the right are those before the part. Within a part, the velocity from an accelerometer error grows
+with time, and that from a rotation, ½ φ_p × V_p in all, with its square, so that δP_p = T_p (½ δV_p − φ_p × V_p/12) to
+a relative error of ω T_p/6. White noise of the samples follows the same recursion, with a random rotation and velocity
+in each part.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from tumble.units import Array, BoolArray, IntArray
 PARTS = 4  # parts of a link in which its sensitivities are integrated
 NODE_SECONDS = 0.5  # s from node to node
 SHORTEST_LINKED = 3.0  # s: longer motion between two rests is cut into links; shorter motion is a turn
-NORMAL_MEDIAN = 0.4549  # median of the square of a standard normal variable
+CHI_SQUARE_MEDIAN = 0.4549  # of one degree of freedom
 QUIET_SHARE = 0.25  # quantile of the noise over links that is taken for that of the samples: fast motion adds noise
 EDGE_WEIGHTS = np.array([-1.0, 7.0, 7.0, -1.0]) / 12.0
 """Weights of the means of two blocks before and two after an edge for the value at the edge, to fourth order."""
@@ -79,75 +80,118 @@ class Links:
         return np.zeros(len(self), dtype=bool) if self.magnetometer is None else np.isfinite(self.magnetometer[:, 0])
 
 
+@dataclass(frozen=True, kw_only=True, slots=True)
+class _Interval:
+    """Motion from one station to the next, blocks first … last − 1 of a file.
+
+    `before`: index of the station before it. `from_node`, `to_node`: whether the stations at its ends are nodes."""
+
+    file: FileBlocks
+    first: int
+    last: int
+    before: int
+    from_node: bool
+    to_node: bool
+
+
 def links_of(reduction: Reduction, spans: Sequence[Stretch]) -> Links | None:
     """Return the links of all motion that is no turn between rests, None if there is none.
 
     Links with a bad sample are left out: they do not begin and end at rest, which would distinguish it from a blow."""
-    if reduction.samples is None:
+    stored = reduction.samples
+    if stored is None:
         return None
-    blocks = max(1, round(NODE_SECONDS / reduction.block_seconds))
-    stations, rest = list[tuple[int, float]](), list[int]()  # file and time of each, and the stations that are rests
-    motion = list[
-        tuple[FileBlocks, int, int, int, bool, bool]
-    ]()  # station and first block, last, whether ends are nodes
-    for f in reduction.files:
-        rests = [span for span in spans if span.file == f.file]
-        starts, stops = [0, *(span.last for span in rests)], [*(span.first for span in rests), len(f)]
-        breaks = [gap for gap in reduction.gaps if gap.file == f.file and not gap.integrable]
-        for k, (start, stop) in enumerate(zip(starts, stops, strict=True)):
-            after_rest, before_rest = k > 0, k < len(rests)
-            if after_rest:
-                rest.append(len(stations))
-                stations.append((f.file, 0.5 * (rests[k - 1].start + rests[k - 1].stop)))
-            if stop - start < blocks or (after_rest and before_rest and not is_linked(rests[k - 1], rests[k])):
-                continue
-            cuts = np.linspace(start, stop, max(1, round((stop - start) / blocks)) + 1).astype(np.int64).tolist()
-            first = len(stations) - after_rest
-            stations += [(f.file, float(f.edges[cut])) for cut in cuts[int(after_rest) : -1 if before_rest else None]]
-            for j, (a, b) in enumerate(pairwise(cuts)):
-                if not any(gap.time < f.edges[b] and gap.stop > f.edges[a] for gap in breaks):
-                    ends = j > 0 or not after_rest, j < len(cuts) - 2 or not before_rest
-                    motion.append((f, first + j, a, b, *ends))
-    if not motion:
+    stations, rest, intervals = _cut_at_nodes(reduction, spans)
+    if not intervals:
         return None
-    parts = np.array([np.linspace(f.sample_at(a), f.sample_at(b), PARTS + 1) for f, _, a, b, *_ in motion])
-    parts = parts.astype(np.int64)
-    samples = _samples_of(reduction.samples, parts)
-    seconds = reduction.clock_rate * np.array([f.edges[b] - f.edges[a] for f, _, a, b, *_ in motion])
-    of_parts = (independent_sample_variances(samples, kind).reshape(-1, PARTS) for kind in ("gyro", "accel"))
-    gyro_density, accel_density = (float(np.quantile(v.sum(axis=1) / seconds, QUIET_SHARE)) for v in of_parts)
-    low, high = np.array([(f.first_sample, f.sample_at(len(f))) for f, *_ in motion]).T
-    start, stop = np.maximum(parts[:, 0] - 1, low), np.minimum(parts[:, -1] + 1, high)
-    least = smallest_distances(reduction, (gyro_density, accel_density))
-    bad = bad_samples_of_turns(reduction.samples, start, stop, (low, high), reduction.rate, least, reduction.tuning)
-    is_sound = ~np.isin(np.arange(len(parts)), bad.turn)
-    if not is_sound.any():
+    edges = [np.linspace(m.file.sample_at(m.first), m.file.sample_at(m.last), PARTS + 1) for m in intervals]
+    parts = np.array(edges).astype(np.int64)
+    seconds = reduction.clock_rate * np.array([m.file.edges[m.last] - m.file.edges[m.first] for m in intervals])
+    samples, density = _samples_of(stored, parts), dict[str, float]()
+    for kind in ("gyro", "accel"):
+        variance = independent_sample_variances(samples, kind).reshape(-1, PARTS).sum(axis=1)
+        density[kind] = float(np.quantile(variance / seconds, QUIET_SHARE))
+    file_start, file_stop = np.array([(m.file.first_sample, m.file.sample_at(len(m.file))) for m in intervals]).T
+    start, stop = np.maximum(parts[:, 0] - 1, file_start), np.minimum(parts[:, -1] + 1, file_stop)
+    least = smallest_distances(reduction, (density["gyro"], density["accel"]))
+    bad = bad_samples_of_turns(stored, start, stop, (file_start, file_stop), reduction.rate, least, reduction.tuning)
+    sound = np.setdiff1d(np.arange(len(intervals)), bad.turn)
+    if not len(sound):
         return None
-    rates, forces = _ends(reduction.samples, parts[is_sound])
-    fields, field_variance = None, 0.0
-    field_means = [f.magnetometer.means for f in reduction.files if len(f) > 4 and reduction.magnetometer_channels]
-    if field_means:  # from fourth differences of the quieter half: what moves fast, or jumps, adds to the others
-        squares = np.concatenate([np.diff(means, n=4, axis=0) for means in field_means]) ** 2
-        block_variance = np.median(squares) / (FOURTH_DIFFERENCES * NORMAL_MEDIAN)
-        field_variance = float(block_variance * (EDGE_WEIGHTS**2).sum())
-        fields = np.array([_value_at(f.magnetometer.means, a, node) for f, _, a, _, node, _ in motion])[is_sound]
+    intervals, parts = [intervals[k] for k in sound], parts[sound]
+    rates, forces = _ends(stored, parts)
+    field, field_variance = _field_at_nodes(reduction, intervals)
     file, time = zip(*stations, strict=True)
     return Links(
         file=np.array(file),
         time=np.array(time),
         rest=np.array(rest, dtype=np.int64),
-        before=np.array([before for _, before, *_ in motion])[is_sound],
-        free=np.array([from_node and to_node for *_, from_node, to_node in motion])[is_sound],
-        duration=seconds[is_sound],
-        samples=_samples_of(reduction.samples, parts[is_sound]),
+        before=np.array([m.before for m in intervals]),
+        free=np.array([m.from_node and m.to_node for m in intervals]),
+        duration=seconds[sound],
+        samples=_samples_of(stored, parts),
         rates=rates,
         forces=forces,
-        gyro_density=gyro_density,
-        accel_density=accel_density,
-        magnetometer=fields,
+        gyro_density=density["gyro"],
+        accel_density=density["accel"],
+        magnetometer=field,
         magnetometer_variance=field_variance,
         bad_samples=len(np.unique(bad.at)),
     )
+
+
+def _cut_at_nodes(
+    reduction: Reduction, spans: Sequence[Stretch]
+) -> tuple[list[tuple[int, float]], list[int], list[_Interval]]:
+    """Cut all motion that is no turn between rests into intervals of about NODE_SECONDS.
+
+    Return file and time, s, of every station, the stations that are rests, and the intervals without a gap."""
+    blocks = max(1, round(NODE_SECONDS / reduction.block_seconds))
+    stations, at_rest, intervals = list[tuple[int, float]](), list[int](), list[_Interval]()
+    for f in reduction.files:
+        rests = [span for span in spans if span.file == f.file]
+        gaps = [gap for gap in reduction.gaps if gap.file == f.file and not gap.integrable]
+        for before, after in pairwise([None, *rests, None]):
+            if before is not None:
+                at_rest.append(len(stations))
+                stations.append((f.file, 0.5 * (before.start + before.stop)))
+            start = 0 if before is None else before.last
+            stop = len(f) if after is None else after.first
+            is_turn = before is not None and after is not None and not is_linked(before, after)
+            if is_turn or stop - start < blocks:
+                continue
+            count = max(1, round((stop - start) / blocks))
+            cuts = np.linspace(start, stop, count + 1).astype(np.int64).tolist()
+            nodes = cuts[0 if before is None else 1 : None if after is None else -1]
+            station = len(stations) - (before is not None)
+            stations += [(f.file, float(f.edges[node])) for node in nodes]
+            for j, (first, last) in enumerate(pairwise(cuts)):
+                if any(gap.time < f.edges[last] and gap.stop > f.edges[first] for gap in gaps):
+                    continue
+                from_node, to_node = before is None or j > 0, after is None or j < count - 1
+                interval = _Interval(
+                    file=f, first=first, last=last, before=station + j, from_node=from_node, to_node=to_node
+                )
+                intervals.append(interval)
+    return stations, at_rest, intervals
+
+
+def _field_at_nodes(reduction: Reduction, intervals: Sequence[_Interval]) -> tuple[Array | None, float]:
+    """Return the readings of the magnetometer (K, 3) before every interval, NaN at a rest and near the ends of a file,
+    and their noise variance; None without a magnetometer.
+
+    The variance is that of fourth differences of the quieter half: what moves fast, or jumps, adds to the others."""
+    by_file = [f.magnetometer.means for f in reduction.files if len(f) > 4]
+    if not by_file or not reduction.magnetometer_channels:
+        return None, 0.0
+    squares = np.concatenate([np.diff(means, n=4, axis=0) for means in by_file]) ** 2
+    block_variance = np.median(squares) / (FOURTH_DIFFERENCES * CHI_SQUARE_MEDIAN)
+    field = np.full((len(intervals), 3), np.nan)
+    for k, m in enumerate(intervals):
+        means = m.file.magnetometer.means
+        if m.from_node and 2 <= m.first <= len(means) - 2:
+            field[k] = EDGE_WEIGHTS @ means[m.first - 2 : m.first + 2]
+    return field, float(block_variance * (EDGE_WEIGHTS**2).sum())
 
 
 def _samples_of(stored: MotionSamples, parts: IntArray) -> TurnSamples:
@@ -168,13 +212,6 @@ def _ends(stored: MotionSamples, parts: IntArray) -> tuple[Array, Array]:
     at = [0.5 * (values[before] + values[after]) for values in (rates, forces)]
     rates, forces = (np.stack([x[:, :-1], x[:, 1:]], axis=2).reshape(-1, 2, 3) for x in at)
     return rates, forces
-
-
-def _value_at(means: Array, edge: int, node: bool) -> Array:
-    """Return the value (3,) at an edge of blocks with these means (K, 3); NaN near the ends, and where no node is."""
-    if not node or not 2 <= edge <= len(means) - 2:
-        return np.full(3, np.nan)
-    return np.asarray(EDGE_WEIGHTS @ means[edge - 2 : edge + 2])
 
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)

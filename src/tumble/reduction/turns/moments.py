@@ -12,8 +12,8 @@ readings were compensated. A group of parameters then enters only through the co
     gyros           ∂φ = −Φ_ijb s_jp w_pbm,   ∂V = −Ψ_ijb s_jp w_pbm                                    (9)
     accelerometers  ∂V = −Φ_ijb s_jp w_pbm
 
-with C(θ) = exp([∂φ δθ ×]) C. Terms in |a_p·x| and (a_p·x)³, x = ω or f, have own-axis sums, which are computed for the
-axes asked for.
+with C(θ) = exp([∂φ δθ ×]) C. Terms in |a_p·x| and (a_p·x)³, x = ω or f, of the component along the axis of the sensor
+itself need sums for every axis a_p. They are computed for the sensors that have such terms (`OwnAxes`).
 
 The columns neglect the effect of accelerometer parameters on the rate through g-sensitivity, and of gyro parameters on
 the force through the delay. It is of second order, and vanishes when the turn is integrated about the new values.
@@ -95,12 +95,12 @@ class Compensation:
 class Moments:
     """Moments of K turns or pieces of turns, resolved in the body frame at the start of the turn.
 
-    n and m are the numbers of gyros and accelerometers whose own-axis sums were asked for."""
+    n and m are the numbers of gyros and accelerometers in `OwnAxes`."""
 
     C: Array  # rotation (K, 3, 3) from the body at the end to the body at the start
     V: Array  # velocity increment ∫ C f dt (K, 3), m/s
     P: Array  # position increment ∫ V dt (K, 3), m
-    Phi: Array  # ∫ C_ij β_b dt (K, 3, 3, 13)
+    Phi: Array  # ∫ C_ij β_b dt (K, 3, 3, 13), of 1, ω, f, f f
     Psi: Array  # (∫ Φ_jb × dV)_i (K, 3, 3, 7), of 1, ω, f
     W: Array  # ∫ C_ij ω_k ω_l dt (K, 3, 3, 6), kl = 11, 12, 13, 22, 23, 33
     sweep: Array  # ∫ (C [ω×])_im f_l dt (K, 3, 3, 3)
@@ -123,7 +123,7 @@ class Moments:
 
 @dataclass(frozen=True, kw_only=True, slots=True, eq=False)
 class OwnAxes:
-    """Axes of the gyros (n, 3) and accelerometers (m, 3) with asymmetry or a cubic term, which need own-axis sums."""
+    """Axes a_p of the gyros (n, 3) and accelerometers (m, 3) with asymmetry κ |a_p·x| or a cubic term K₃ (a_p·x)³."""
 
     gyro: Array
     accel: Array
@@ -148,12 +148,6 @@ class Pieces:
     stop: IntArray
 
 
-def moments_of(pieces: Pieces, compensation: Compensation, own: OwnAxes = NO_OWN_AXES) -> Moments:
-    """Return the moments of every single piece."""
-    count = len(pieces.start)
-    return integrate([replace(pieces, turn=np.arange(count))], count, compensation, own)
-
-
 def integrate(
     batches: Iterable[Pieces],
     turns: int,
@@ -168,6 +162,7 @@ def integrate(
     # regressors: 1, ω, f; own axes of the gyros; f f; ω ω; own axes of the accelerometers
     firsts = np.cumsum([0, linear, 2 * n, 6, 6, 2 * m])
     linears, own_gyro, forces_2, rates_2, own_accel = (slice(a, b) for a, b in pairwise(firsts.tolist()))
+    # numbers of all regressors, and of those before f f, rounded up to whole BLOCKs
     rows, moved_rows = (-(-width // _kernels.BLOCK) * _kernels.BLOCK for width in firsts[[-1, 2]].tolist())
     attitude, jumps = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.zeros(count)
     V, P = np.zeros((count, 3)), np.zeros((count, 3))
@@ -281,6 +276,7 @@ def lever_columns(moments: Moments, left_inverse: Array, sensitivities: Array, r
     with the rows (1 + k) a_p of `sensitivities` (n, 3) and the columns s_p of their `left_inverse` (3, n). `rates` are
     those of the body at the start and at the end (K, 3), the Earth's rate at rest. Turns of duration 0 have zeros."""
     along = np.einsum("jp,pa->pja", left_inverse, sensitivities)
+    # W has every product ω_k ω_l with k ≤ l once: for k < l the coefficients of kl and of lk are added
     first, second = (skew(np.eye(3)[list(axes)]) for axes in zip(*PAIRS, strict=True))
     weights = np.zeros((3, len(PAIRS), len(sensitivities), 3))
     for G, H, which in ((first, second, slice(None)), (second, first, [1, 2, 4])):

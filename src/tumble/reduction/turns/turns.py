@@ -18,8 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby, pairwise
-from operator import itemgetter
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -47,7 +46,7 @@ ALIASING_RATIO = 9.0  # variance by independent samples over that by noise, from
 TURN_FLOOR = 1e-10  # rad: smallest standard uncertainty of a turn, even in a simulation without noise
 BATCH_SAMPLES = 2**17  # samples of turns in memory at a time: 7 MB
 MAX_CACHED_SAMPLES = 2**19  # samples of turns that may stay in memory, gathered once: 29 MB
-AHEAD = 2  # samples kept ahead of every piece of a turn, for the first step
+AHEAD = 2  # samples kept before every piece of a turn, for its first step
 CONVERTER_ENDS = 2.0 ** np.arange(11, 32)  # 2^k of converters of 12 to 32 bits
 EQUAL_READINGS = 1e-6  # relative difference of equal readings
 AT_RANGE = 1e-4  # relative difference of the ends of one range
@@ -61,11 +60,11 @@ class Turns:
 
     `first`, `last`: rests (K,) before and after. `duration` (K,), s. `C`, `M`, `B`: rotations (K, 3, 3) and their
     sensitivities to the gyro matrix (K, 3, 3, 3), rad, and bias (K, 3, 3), s. `covariance`: of the rotations (K, 3, 3)
-    from gyro noise, rad². `arising`: time in the turn at which this noise arose (K,), `ColouredNoise.arising`.
+    from gyro noise, rad². `moment_ratio`: that of this noise (K,), see `ColouredNoise.moment_ratio`.
     `velocity_covariance`: of the velocity increments (K, 3, 3) from accelerometer noise, m²/s². `jumps`: sums (K,) of
     the squared changes of force from sample to sample times interval, m²/s², docs/explanation/mathematics.md (18).
-    `aliased`: variances of the rotations (K,), rad², if changes of the rate from sample to sample were independent, as
-    in samples that are no means; 0 if the log does not show this."""
+    `aliased`: variances of the rotations (K,), rad², of a log whose samples are aliased, so that rates change
+    independently from sample to sample (`aliased_rotations`); 0 for any other log."""
 
     json_fields: ClassVar = ("first", "last", "duration", "C", "covariance")
 
@@ -76,7 +75,7 @@ class Turns:
     M: Array
     B: Array
     covariance: Array
-    arising: Array
+    moment_ratio: Array
     velocity_covariance: Array
     jumps: Array
     aliased: Array
@@ -135,9 +134,11 @@ class TurnSamples:
             for turn, (start, stop) in enumerate(zip(self.start, self.stop, strict=True))
             for at in range(int(start), int(stop), BATCH_SAMPLES)
         ]
-        done = np.cumsum([0, *(end - at for _, at, end in spans)]) // BATCH_SAMPLES
-        for _, batch in groupby(zip(done, spans, strict=False), key=itemgetter(0)):
-            turn, at, end = np.array([span for _, span in batch]).T
+        table = np.array(spans, dtype=np.int64).reshape(-1, 3)
+        counts = table[:, 2] - table[:, 1]
+        batch = (np.cumsum(counts) - counts) // BATCH_SAMPLES
+        for number in np.unique(batch):
+            turn, at, end = table[batch == number].T
             rates, forces, intervals = zip(*map(self._read, turn, at, end), strict=True)
             stop = np.cumsum([len(each) for each in intervals])
             yield Pieces(
@@ -199,7 +200,8 @@ def reduced_turns(
         for _, f, before, after in pairs
     ]
     file_start, rest_start, start, stop, rest_stop, file_stop = np.array(edges, dtype=int).reshape(-1, 6).T
-    first, block_seconds = np.array([i for i, *_ in pairs], dtype=int), reduction.block_seconds
+    first = np.array([i for i, *_ in pairs], dtype=int)
+    block_seconds = reduction.block_seconds
     duration = reduction.clock_rate * np.array([after.start - before.stop for *_, before, after in pairs])
     densities = float(np.median(rests.gyro_noise)) ** 2, float(np.median(rests.accel_noise)) ** 2
     least = smallest_distances(reduction, densities)
@@ -243,7 +245,7 @@ def reduced_turns(
         M=Phi[..., 1:],
         B=Phi[..., 0],
         covariance=covariance,
-        arising=np.array([noise["gyro"].arising(T / block_seconds) for T in noise_time]),
+        moment_ratio=np.array([noise["gyro"].moment_ratio(T / block_seconds) for T in noise_time]),
         velocity_covariance=(velocity + floor**2)[:, None, None] * np.eye(3),
         jumps=moments.jumps.reshape(-1, PATH_STEPS).sum(axis=1),
         aliased=aliased_rotations(samples, covariance),

@@ -145,7 +145,7 @@ def _whole_correction(calibration: Calibration) -> Iterator[Block]:
             "force before the rate."
         )
     if moving:
-        sentences.append(f"In motion accelerometers have besides: {moving}.")
+        sentences.append(f"In motion, readings of accelerometers also have: {moving}.")
     if compensator.warm:
         sentences.append(
             "Bias and scale factor change with the temperature T of the sensor by (T − T₀) times .t1, (T − T₀)² "

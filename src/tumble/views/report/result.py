@@ -156,7 +156,7 @@ def value_blocks(calibration: Calibration, further: Cells | None = None) -> list
         blocks.append(f"Known to (standard uncertainty): {prediction_text(calibration.prediction)}{linear}.")
         correction = "Matrix and bias: true = matrix⁻¹ · (reading − bias)."
         if errors:
-            correction += f" The whole correction takes from a reading besides: {added_terms(calibration)}."
+            correction += f" The whole correction also removes from a reading: {added_terms(calibration)}."
         numbers = "Numbers, formulas and test vectors are in the section “How to apply it”."
         blocks.append(Text(text=f"{correction} {numbers}", tone="small"))
     if calibration.outcome.unobservable:
@@ -241,7 +241,7 @@ def unknown(calibration: Calibration) -> Section | None:
         "what they may be. The middle 68 % of each stands beside its value; a size over the usual one has no unit."
     )
     blocks = unknown_blocks(calibration)
-    return section("What the model did not know about itself", meaning, *blocks) if blocks else None
+    return section("Hyperparameters", meaning, *blocks) if blocks else None
 
 
 def launches(calibration: Calibration) -> Section | None:
@@ -274,23 +274,24 @@ def iterations(calibration: Calibration) -> Section | None:
 
 
 def contents_of_u(calibration: Calibration) -> str:
-    """Return sentences on what U contains and what it leaves out."""
-    meaning = (
-        "U contains the noise at rest and in turns, the scatter between rests that the residuals show, and the stated "
-        "uncertainty of gravity; of several launches also their instability. "
-    )
-    if further_parameters(calibration.parameters):
-        meaning += (
-            "It contains what the groups beyond the linear model leave open within their priors. It does not contain "
-            "the change from one power-on to the next and with age, effects that no group describes, and an error of "
-            "gravity larger than stated."
-        )
+    """Return sentences on what U contains, by the sources of its budget, and what it leaves out."""
+    evidence = calibration.evidence
+    priors = {source.name for source in evidence.budget if source.name.startswith("prior.")} - {"prior.linear"}
+    contents = ["the noise at rest and in turns", "the scatter between rests that the residuals show"]
+    contents += ["the uncertainties of gravity and of the time base"]
+    left_out = ["ageing", "an error of gravity larger than stated"]
+    if priors or further_parameters(calibration.parameters):
+        contents.append("the groups beyond the linear model, as far as the recording does not determine them")
+        left_out.append("effects that no group describes")
     else:
-        meaning += (
-            "It does not contain what one recording cannot show: changes with temperature and age, nonlinearity that "
-            "is the same in every rest, and an error of gravity larger than stated."
-        )
-    return meaning
+        left_out.append("nonlinearity that is the same in every rest")
+    if evidence.launches:
+        contents.append("the changes between the launches")
+    else:
+        left_out.insert(0, "the change from one power-on to the next")
+    if calibration.reference_temperature is None:
+        left_out.append("changes with temperature")
+    return f"U contains {'; '.join(contents)}. It does not contain {'; '.join(left_out)}."
 
 
 def correlations(calibration: Calibration) -> Section | None:
