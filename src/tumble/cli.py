@@ -70,7 +70,8 @@ def _in_one_line() -> Iterator[None]:
 
 STUCK_SECONDS = 5.0  # s, allowed for a command to react to a signal
 _ENDING = (signal.SIGINT, signal.SIGTERM)
-_AGAIN, _AGAIN_SECONDS = b"\0", 0.02  # no signal has this number; s, before an interruption is repeated
+_AGAIN = b"\0"  # requests that the last signal be sent again; no signal has this number
+_AGAIN_SECONDS = 0.02  # s, before it is
 
 COMMANDS: Mapping[str, str] = {
     "Most used": (
@@ -186,10 +187,10 @@ def main(context: click.Context) -> None:
 def _ended_by_signals() -> Iterator[None]:
     """Make SIGINT and SIGTERM end the block like an error, so that nothing half written is left.
 
-    Whichever error a library makes of the interruption, it is the interruption that leaves the block. One that comes
-    while files are removed, or is lost in a destructor, is repeated a moment later. A command that
-    does not react within STUCK_SECONDS, as in a library whose threads wait for each other, is ended at once. Signals
-    that the process ignores, as under `nohup`, stay ignored."""
+    The block ends with KeyboardInterrupt or SystemExit even if a library turns these into an error of its own. A signal
+    that comes while files are removed, or whose exception is lost in a destructor, is sent again a moment later. A
+    command that does not react within STUCK_SECONDS, as in a library whose threads wait for each other, is ended at
+    once. Signals that the process ignores, as under `nohup`, stay ignored."""
     import socket
     import threading
 

@@ -152,7 +152,7 @@ def is_plain(text: str) -> bool:
 
 
 def plain(text: str) -> str:
-    """Return a text with control and formatting characters, except new lines, replaced by question marks."""
+    """Return a text with control and formatting characters, except new lines, replaced by � (U+FFFD)."""
     if text.isprintable():
         return text
     hidden = (character != "\n" and unicodedata.category(character) in _HIDDEN for character in text)
@@ -240,9 +240,11 @@ def faults_of(error: ValidationError, content: Any, model: type[Any]) -> list[st
 def keys_of(table: type[Any]) -> dict[str, tuple[Any, str]]:
     """Return the keys of a model or dataclass, with their types and descriptions."""
     if is_dataclass(table):
-        hints = get_type_hints(table, include_extras=True)
-        aliases = {n: next((a.alias for a in get_args(h) if getattr(a, "alias", None)), n) for n, h in hints.items()}
-        return {aliases[name]: (hint, "") for name, hint in hints.items()}
+        keys = {}
+        for name, hint in get_type_hints(table, include_extras=True).items():
+            aliases = (part.alias for part in get_args(hint) if getattr(part, "alias", None))
+            keys[next(aliases, name)] = (hint, "")
+        return keys
     return {name: (field.annotation, field.description or "") for name, field in table.model_fields.items()}
 
 

@@ -69,7 +69,7 @@ def is_near_one(ratios: npt.ArrayLike) -> bool:
 
 
 def fitting_units(read: npt.ArrayLike, sizes: Mapping[str, float]) -> list[str]:
-    """Return the units in which readings of a quantity of 1 SI would be right, to UNIT_TOLERANCE.
+    """Return the units, of `sizes` in SI, in which all readings of a quantity of 1 SI are 1, to UNIT_TOLERANCE.
 
     >>> fitting_units(1.02 / 9.81, {name: unit.factor for name, unit in ACCEL_UNITS.items()})
     ['g']

@@ -16,7 +16,7 @@ from tumble.inference.estimate import Estimate
 from tumble.inference.joint import joint
 from tumble.inference.prior import DevicePrior, with_prior
 from tumble.lab.datasheet import tolerance_factor
-from tumble.lab.device_type import Unit, prior_of, unit_by
+from tumble.lab.device_type import Unit, prior_of, unit_of_parameters
 from tumble.lab.registry.registry import open_registry
 from tumble.planning.setup import Setup
 from tumble.reduction.observations import Observations
@@ -31,7 +31,7 @@ NAMES = ("gyro.bias.x", "gyro.bias.y", "gyro.bias.z")
 def recorded(serial: object, values: np.ndarray, u: float, names: tuple[str, ...] = NAMES) -> Unit:
     """A unit with these values of the parameters."""
     parameters = [Parameter(name=n, value=v, u=u, unit="rad/s") for n, v in zip(names, values.tolist(), strict=True)]
-    return unit_by(parameters, u**2 * np.eye(len(names)), serial=str(serial), in_run={})
+    return unit_of_parameters(parameters, u**2 * np.eye(len(names)), serial=str(serial), in_run={})
 
 
 @pytest.mark.parametrize("units", [3, 5, 12])
@@ -80,7 +80,7 @@ def test_what_was_usual_of_a_grade_is_taken_out_of_the_evidence() -> None:
             Parameter(name=n, value=v, u=float(np.sqrt(c)), unit="1", prior=float(p**-0.5) if p else None)
             for n, v, c, p in zip(names, values.tolist(), np.diag(C), precision, strict=True)
         ]
-        known.append(unit_by(parameters, C, serial="1", in_run={}))
+        known.append(unit_of_parameters(parameters, C, serial="1", in_run={}))
     np.testing.assert_allclose(known[1].information, known[0].information, rtol=1e-8, atol=1e-3)
     np.testing.assert_allclose(known[1].shift, known[0].shift, rtol=1e-8)
 
@@ -97,7 +97,7 @@ def test_means_that_no_recording_tells_apart_stay_unknown_however_many_units() -
             Parameter(name=n, value=v, u=float(np.sqrt(c)), unit="1", prior=1e-2 if p else None)
             for n, v, c, p in zip(names, values.tolist(), np.diag(C), P, strict=True)
         ]
-        units.append(unit_by(parameters, C, serial=str(i), in_run={}))
+        units.append(unit_of_parameters(parameters, C, serial=str(i), in_run={}))
     prior, one = prior_of(units, "m"), np.ones(2)
     assert np.sqrt(np.diag(prior.covariance)).min() > 5e-3
     assert np.sqrt(one @ prior.covariance @ one) < 5e-4
@@ -141,7 +141,7 @@ def seen_in(estimate: Estimate, serial: str, more: float = 0.0) -> Unit:
     """What an estimate says of a unit whose scale factor y is larger by so much."""
     seen = np.flatnonzero(estimate.observable)
     every = [replace(p, value=p.value + more * (p.name == "accel.scale.y")) for p in build_parameters(estimate, seen)]
-    return unit_by(every, estimate.covariance[np.ix_(seen, seen)], serial=serial, in_run={})
+    return unit_of_parameters(every, estimate.covariance[np.ix_(seen, seen)], serial=serial, in_run={})
 
 
 def test_a_type_narrows_what_only_priors_say_and_its_budget_is_the_covariance(

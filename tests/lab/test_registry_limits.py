@@ -126,6 +126,16 @@ def test_the_risk_of_a_whole_is_a_bound_on_that_of_its_values() -> None:
         assert verdict.risk == pytest.approx(bound(risk for risk in risks if risk is not None))
 
 
+def test_an_undecided_whole_has_no_risk() -> None:
+    """Even if another value is judged: outside by less than U, but the result is not about it."""
+    pair = parse_limits('format = 1\n[incoming]\n"accel.bias" = "1 m/s^2"\n', "limits.toml")
+    outside = Parameter(name="accel.bias.x", value=1.1, u=0.1, unit="m/s^2")
+    verdict = judge_parameters(pair, "incoming", [outside], ["accel.bias.y"])
+    assert verdict is not None
+    assert [j.result for j in verdict.judgements] == ["conditional fail", "undecided"]
+    assert (verdict.result, verdict.risk, verdict.risk_sentence) == ("undecided", None, "")
+
+
 def test_without_an_uncertainty_nothing_is_decided() -> None:
     assert judged(0.0, None, -1.0, 1.0) == "undecided"
 

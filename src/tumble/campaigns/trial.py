@@ -93,8 +93,7 @@ def bound(scenario: Scenario, attitudes: Array, observations: Observations) -> d
 
     They are those of the joint likelihood at the true parameters and `attitudes` (N, 3, 3). In-run instability is a
     bias that is constant from a rest through the turn after it; further groups of parameters have priors of their
-    sizes.
-    """
+    sizes."""
     instrument, truth = scenario.instrument, scenario.values
     problem = Problem.of(observations, instrument=instrument, usual=observations.usual)
     about = IntegratedTurns.of(observations, instrument, truth)

@@ -86,8 +86,10 @@ def calibrate(
     from tumble.views.calibration import MAX_REMARKS, WIDTH, calibration_blocks
 
     check_recordings(sessions)
-    methods, estimation = tuple(dict.fromkeys(method)), _taken(options, "iterations", "frame", "terms")
-    shown, frame, linear = _taken(options, "every", "budget"), estimation["frame"], estimation["terms"] == "linear"
+    methods = tuple(dict.fromkeys(method))
+    estimation = _taken(options, "iterations", "frame", "terms")
+    shown = _taken(options, "every", "budget")  # the other options describe a log
+    frame, linear = estimation["frame"], estimation["terms"] == "linear"
     if len(sessions) > 1 and out is None:
         raise InputError("--out: expected a file for the result of several sessions, found none; give --out FILE.json")
     if truth is not None and frame != "accelerometer":
@@ -102,14 +104,15 @@ def calibrate(
         raise InputError(
             f"--together: expected the method {params.METHOD_NAMES[0]!r} with all terms and no iterations, found others"
         )
-    truth_by_name, true_values = None, None
-    if truth is not None:
+    true_values = None
+    if truth is not None:  # read before anything is computed
         from tumble.simulation.session import read_truth
 
-        truth_by_name = read_truth(truth)
-    if base is not None and (len(sessions) > 1 or together or methods != ("joint",)):
-        raise InputError("--base: expected one recording and the method joint, found others")
-    estimation |= {} if base is None else {"base": base}
+        true_values = read_truth(truth)
+    if base is not None:
+        if len(sessions) > 1 or together or methods != ("joint",):
+            raise InputError("--base: expected one recording and the method joint, found others")
+        estimation["base"] = base
     folders_made = session_folders(sessions, dict(options), every=shown["every"])
     with _gyros_alone(sessions, options, out, force=force), folders_made as folders, console.estimating() as progress:
         described = [read_session(folder).without(without or ()) for folder in folders]
@@ -129,11 +132,11 @@ def calibrate(
         result, *others = results
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
-    if truth_by_name is not None:
+    if true_values is not None:
         from tumble.result.record import reference_of_parameter
         from tumble.simulation.temperature_profile import truth_at
 
-        true_values = truth_at(truth_by_name, result.reference_temperature, partial(reference_of_parameter, result))
+        true_values = truth_at(true_values, result.reference_temperature, partial(reference_of_parameter, result))
     console.show(
         lambda: result.content() | ({"others": [other.content() for other in others]} if others else {}),
         lambda: calibration_blocks(
@@ -154,6 +157,7 @@ def calibrate(
 
 
 def _taken(options: dict[str, Any], *names: str) -> dict[str, Any]:
+    """Remove options and return them."""
     return {name: options.pop(name) for name in names}
 
 
@@ -208,8 +212,7 @@ def _gyros_alone(logs: Sequence[Path], stated: dict[str, Any], out: Path | None,
 def ellipsoid(readings: Path, positions: tuple[str, ...], out: Path | None, force: bool, **options: Any) -> None:
     """Calibrate three accelerometers from READINGS.csv, their mean readings in nine or more positions.
 
-    The table has a header with the names of three columns, one per channel, and a row per position.
-    """
+    The table has a header with the names of three columns, one per channel, and a row per position."""
     from tumble.run.from_readings import calibrate_readings
     from tumble.views.readings import readings_blocks
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from tumble.views.blocks import Block
 
 
-def as_json() -> bool:
+def wants_json() -> bool:
     """Return True if --json was given."""
     return bool(click.get_current_context().meta.get(AS_JSON))
 
@@ -29,7 +29,7 @@ def show(result: Any, blocks: Callable[[], Iterable[Block]], width: int | None =
     """Print a result, a dataclass, a dictionary or a function that returns one, as JSON with `--json`, else its blocks.
 
     Without a terminal sentences are broken after `width` characters, or not at all if it is None."""
-    if as_json():
+    if wants_json():
         print_json(result() if callable(result) else result, indent=1)
     else:
         from tumble.views.render.terminal import print_blocks
@@ -41,9 +41,9 @@ def print_json(result: Any, indent: int | None = None) -> None:
     """Print a result as ASCII JSON; without `indent` on one line."""
     import json
 
-    from tumble.documents import as_json as data_of
+    from tumble.documents import as_json
 
-    click.echo(json.dumps({"format": 1} | data_of(result), indent=indent, allow_nan=False))
+    click.echo(json.dumps({"format": 1} | as_json(result), indent=indent, allow_nan=False))
 
 
 def answer(line: str) -> None:

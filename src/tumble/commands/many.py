@@ -22,8 +22,7 @@ def campaign(file: Path, out: Path, **place: Any) -> None:
     """Simulate and calibrate many times over the grid of FILE.toml.
 
     It shows errors against the truth, their ratio to the Cramér–Rao bound, coverage and failures. The same command
-    resumes a campaign that was interrupted.
-    """
+    resumes a campaign that was interrupted."""
     from tumble.campaigns.campaign import campaign, varying
     from tumble.views.campaign import summary_blocks
 
@@ -49,8 +48,7 @@ def fleet(sessions: str, method: Method, out: Path, **place: Any) -> None:
     """Calibrate all sessions that GLOB matches, with a row for each.
 
     A session that cannot be calibrated does not stop the others: its row has the reason. The same command resumes a run
-    that was interrupted.
-    """
+    that was interrupted."""
     from tumble.campaigns.fleet import fleet
 
     with console.task_progress("sessions", out) as progress:

@@ -248,11 +248,9 @@ class Knowledge(Protocol):
 
     def prior(self, model: str, *, without: str | None = None) -> DevicePrior:
         """Return the prior from the units of a type, except the unit with one serial number."""
-        ...
 
     def launches(self, serial: str) -> tuple[LaunchVariances, ...]:
         """Return the variances between the launches of a device."""
-        ...
 
 
 @contextmanager

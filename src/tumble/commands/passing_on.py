@@ -99,8 +99,7 @@ def export(calibration: Path, to: str | None, template: Path | None, out: Path, 
     """Write CALIBRATION, a calibration file, in the format of another program.
 
     What the format cannot hold is listed on standard error, and in comments of the file if it has comments.
-    Exit status 1 if a certificate in it states that not everything passes.
-    """
+    Exit status 1 if a certificate in it states that not everything passes."""
     from tumble.export import export_calibration
     from tumble.files import whole_file
 

@@ -159,8 +159,7 @@ def simulate(
 def example(folder: Path) -> None:
     """Write an example into FOLDER: a log in counts as a cheap logger writes it, and truth.json with its true values.
 
-    The log is always the same: a simulated MEMS device that was put down by hand in 30 positions.
-    """
+    The log is always the same: a simulated MEMS device that was put down by hand in 30 positions."""
     from tumble.planning.setup import Setup
     from tumble.simulation.session import simulate_session
 

@@ -31,8 +31,7 @@ def new(folder: Path, more: tuple[Path, ...], log: tuple[Path, ...], **options: 
     """Write a commented session.toml for a log into FOLDER, and say what was guessed.
 
     LOG, or --log, is one or more text files in any dialect, .parquet, .bag, .db3, .mcap, .ulg, .bin, .mat, .h5,
-    .npy, a .zip of such, a ROS 2 folder, or a folder or a pattern of files that were recorded one after the other.
-    """
+    .npy, a .zip of such, a ROS 2 folder, or a folder or a pattern of files that were recorded one after the other."""
     from tumble.drafting.new_session import new_session
 
     if not log and not more:
@@ -63,7 +62,8 @@ def session_folders(
     A log is a file other than session.toml, a folder without one, or anything given with `options` of `params.LOG`.
     With `every`, notes on how each part of the session was determined are printed, otherwise only those on other
     sensors in the recording and on corrections of it."""
-    first, stated = recordings[0], any(value is not None for value in options.values())
+    first = recordings[0]
+    stated = any(value is not None for value in options.values())
     if not stated and (len(recordings) > 1 or not is_log(first)):
         yield recordings
         return
@@ -133,8 +133,7 @@ def gyros_of(log: Path, given: Given) -> GyroRests:
 def inspect(recording: Path, picture: Path | None, **options: Any) -> None:
     """Show the rests and turns found in SESSION or in LOG, and what was rejected and why.
 
-    LOG may have only gyros. A session is made beside it, as `tumble calibrate` does.
-    """
+    LOG may have only gyros. A session is made beside it, as `tumble calibrate` does."""
     from tumble.run.observed import inspect_session
     from tumble.views.inspection import inspection_blocks, plot
 
@@ -174,8 +173,7 @@ def noise(recordings: tuple[Path, ...], picture: Path | None, **options: Any) ->
 
     LOG is a log in any dialect, also one with only gyros, or a folder of files: columns, units and times that no option
     gives are found as by `tumble new`. Several recordings of one device, either sessions or logs, are evaluated
-    together.
-    """
+    together."""
     from tempfile import TemporaryDirectory
 
     from tumble.run.quiet_samples import is_session, noise_of

@@ -41,8 +41,7 @@ def check(
 
     A stream is checked rest by rest until it ends or is stopped with Ctrl-C. The file CALIBRATION is never changed.
 
-    Exit status 0: no change is detected; 1: something has changed.
-    """
+    Exit status 0: no change is detected; 1: something has changed."""
     from tumble.documents import as_json
     from tumble.recording.session_file import read_session
     from tumble.run.readings_table import is_table
@@ -68,7 +67,7 @@ def check(
             found = check_calibration(calibration, checked, launches=launches)
     else:
         found = check_stream(calibration, listen, session=session, show=_show)
-    if console.as_json() and listen is not None:
+    if console.wants_json() and listen is not None:
         console.print_json({"event": "check", **as_json(found)})
     else:
         console.show(found, lambda: check_blocks(found, rests=listen is None))
@@ -96,8 +95,9 @@ def _show(event: Event) -> None:
     from tumble.use.check import CheckedRest, change_text
     from tumble.views.checks import event_line
 
+    """Print a rest or a notice of a stream, and the biases that have moved by a rest."""
     rest = event if isinstance(event, CheckedRest) else None
-    if console.as_json():
+    if console.wants_json():
         console.print_json({"event": "notice" if rest is None else "rest", **as_json(event)})
     else:
         click.echo(event_line(event))
@@ -112,8 +112,7 @@ def _show(event: Event) -> None:
 def compare(first: Path, second: Path) -> None:
     """Differences of two calibration files in units of their combined uncertainty, and E_n numbers.
 
-    Exit status 0: chance explains the largest |E_n| (probability 0.01 of all together) and χ² (0.001); 1: otherwise.
-    """
+    Exit status 0: chance explains the largest |E_n| (probability 0.01 of all together) and χ² (0.001); 1: otherwise."""
     from tumble.use.compare import compare_calibrations
     from tumble.views.checks import comparison_blocks
 
@@ -135,8 +134,7 @@ def apply(calibration: Path, recording: Path, out: Path, force: bool) -> None:
     """Correct the recording of a session, or a log, with CALIBRATION, a calibration file of the same device.
 
     Corrected values are in SI under the session's column names, or in the unit that these names say; every other column
-    is copied.
-    """
+    is copied."""
     from tumble.recording.session_file import read_session
     from tumble.use.apply import apply_to_session, correction_notes
 

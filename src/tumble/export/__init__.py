@@ -40,7 +40,7 @@ class Target:
     ending: str = ".txt"
 
 
-def _write(function: str, *arguments: Any, **options: Any) -> Exported:
+def _call(function: str, *arguments: Any, **options: Any) -> Exported:
     """Call a function, "module.name" in this folder, which is imported now."""
     module, _, name = function.partition(".")
     exported: Exported = getattr(import_module(f"tumble.export.{module}"), name)(*arguments, **options)
@@ -48,7 +48,7 @@ def _write(function: str, *arguments: Any, **options: Any) -> Exported:
 
 
 BUILT_IN: Mapping[str, Target] = {
-    name: Target(write=partial(_write, function), about=about, ending=ending, takes=tuple(takes))
+    name: Target(write=partial(_call, function), about=about, ending=ending, takes=tuple(takes))
     for name, function, about, ending, *takes in (
         ("px4", "autopilots.px4", "PX4: parameter file for QGroundControl", ".params", "imu"),
         ("px4-thermal", "autopilots.px4_thermal", "PX4: offsets over temperature", ".params", "imu", "sensor_ids"),
@@ -117,7 +117,7 @@ def _template_target(file: Path, name: str) -> Target:
     """Return the target that a template describes; what else is in the template is checked when it is written."""
     front, _ = split_template(text_of_document(file), name)
     return Target(
-        write=partial(_write, "templates.write_template", file, name),
+        write=partial(_call, "templates.write_template", file, name),
         about=str(front.get("about", "")),
         takes=("counts",) if "counts" in front else (),
         ending=str(front.get("ending", ".txt")),

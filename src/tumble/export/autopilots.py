@@ -37,6 +37,7 @@ from tumble.reduction.rests.warming import OVER_TEMPERATURE as WIDE
 from tumble.result.calibration import Calibration
 from tumble.result.correction import linear_example
 from tumble.result.temperature_curves import measured_range, rests_with_temperature, thermal_parameters
+from tumble.rotation import rotation_vector
 from tumble.sensors.model import SensorKind, SensorModel
 from tumble.sensors.parameters import OVER_TEMPERATURE, group_name
 from tumble.units import DEGREE, TESLA, Array
@@ -190,8 +191,8 @@ def _cubic(pilot: Autopilot, slopes: Array, reference: float) -> Array:
 
 
 def _shared_thermometers(pilot: Autopilot, calibration: Calibration, applied: Sequence[Triad]) -> list[str]:
-    """Describe the errors of sensors that have several thermometers in the calibration but one in the target: the
-    differences of the thermometers at rests, less the mean difference, which the references contain."""
+    """Return sentences on the errors of sensors with several thermometers in the calibration and one in the target,
+    by the differences between these at the rests, less their mean, which the reference temperatures contain."""
     notes = []
     for sharing in pilot.thermometers:
         by_kind = {each.kind: each for each in applied if each.kind in sharing and each.measured is not None}
@@ -256,8 +257,9 @@ def _autopilot(
         )
     ids: dict[str, int | None] = {kind: sensor.id for kind, sensor in calibration.imu.items()}
     ids |= {} if sensor_ids is None else dict(zip(("accel", "gyro"), sensor_ids, strict=True))
-    signed = {kind: n - 2**32 if n >= 2**31 else n for kind, n in ids.items() if n is not None}  # as PX4 has them
-    both, see_to = signed if len(signed) == 2 else None, list[str]()
+    signed = {kind: n - 2**32 if n >= 2**31 else n for kind, n in ids.items() if n is not None}  # int32, as in PX4
+    both = signed if len(signed) == 2 else None
+    see_to = list[str]()
     remarks = [pilot.has_ids] if pilot.has_ids and (thermal or both is None) else []
     if imu is None and not calibration.imu:
         see_to.append(
@@ -269,23 +271,26 @@ def _autopilot(
     if measured is not None:
         references = dict.fromkeys(f"{each.reference:g}" for each in applied)
         remarks.append(pilot.at_reference.format(" and ".join(references)))
-        errors = " and ".join(in_units(each.kind, each.steepest()) for each in applied)
+        if pilot.taken_up:
+            see_to.append(pilot.taken_up.format(" and ".join(in_units(each.kind, each.steepest()) for each in applied)))
         few = f" (only {span:.1f} K: warm it through the temperatures of its use)" if span < WIDE else ""
-        see_to += filter(None, [pilot.taken_up.format(errors)])
         see_to.append(
             f"outside {measured[0]:.1f} to {measured[1]:.1f} degC nothing was measured{few}: the target keeps the "
             "offsets of the nearer end"
         )
-        see_to += [pilot.lacks_ids] if pilot.lacks_ids and both is None else []
-    changes = {f"{each.kind} offsets": each.offset for each in applied if each.known}
-    changes |= {f"{each.kind} scales": each.factor - 1.0 for each in applied[:1] if each.kind == "accel" and each.known}
+        if pilot.lacks_ids and both is None:
+            see_to.append(pilot.lacks_ids)
+    known = [each for each in applied if each.known]
+    changes = {f"{each.kind} offsets": each.offset for each in known}
+    changes |= {f"{each.kind} scales": each.factor - 1.0 for each in known if each.kind == "accel"}
     small = [name for name, change in changes.items() if np.linalg.norm(change) <= MIN_CHANGE]
-    see_to += [pilot.small.format(", ".join(small))] if pilot.small and small else []
+    if pilot.small and small:
+        see_to.append(pilot.small.format(", ".join(small)))
     compass, compass_remarks, lost = _compass(pilot, calibration)
     notes = notes_of(
         calibration,
         corrections={each.kind: each.correct for each in applied},
-        left=_shared_thermometers(pilot, calibration, applied),
+        remarks=_shared_thermometers(pilot, calibration, applied),
         held={MAGNETOMETER} | (_HELD if thermal else set()),
         lacks=["uncertainties", *lost],
         see_to=see_to,
@@ -320,7 +325,7 @@ def _compass(pilot: Autopilot, calibration: Calibration) -> tuple[Mapping[str, A
         reason += "" if math.isinf(pilot.most_across) else f" and {pilot.most_across:g}"
     if reason:
         return None, [], [f"the magnetometer, which the autopilot takes for damaged: {reason}"]
-    angle = math.acos(min(1.0, 0.5 * (float(np.trace(R)) - 1.0))) / DEGREE
+    angle = float(np.linalg.norm(rotation_vector(R))) / DEGREE
     remark = (
         "magnetometer: taken for the first; its id in the autopilot has to be that of this sensor already, in the axes "
         f"that were recorded; turned by {angle:.2g} deg so that its matrix is symmetric"

@@ -144,19 +144,23 @@ def notes_of(
     calibration: Calibration,
     *,
     corrections: Mapping[SensorKind, Correct] = MappingProxyType({}),
-    left: Iterable[str] = (),
+    remarks: Iterable[str] = (),
     held: Container[str] = (),
     lacks: Iterable[str] = ("uncertainties",),
     see_to: Iterable[str] = (),
 ) -> tuple[str, ...]:
     """Return at most three notes on what a target cannot hold, with the largest errors in physical units.
 
-    `corrections` are those of readings by the target, and `left` further sentences on its errors. It holds the groups
-    of parameters `held` beyond matrix and bias (MAGNETOMETER included), and `lacks` a place for other things; `see_to`
-    is what the user has to do."""
+    `corrections` are those of readings by the target, `remarks` further sentences on what it does not correct. Beyond
+    matrix and bias it holds the groups of parameters `held` (MAGNETOMETER among them), and `lacks` a place for other
+    things; `see_to` is what the user has to do."""
     largest = (_largest_errors(calibration, kind, correct, held) for kind, correct in corrections.items())
     errors = ", ".join(filter(None, largest))
-    first = [*left, *_missing_kinds(calibration), *([f"remaining error: {errors}"] if errors else [])]
+    first = [
+        *remarks,
+        *_missing_kinds(calibration),
+        *([f"remaining error: {errors}"] if errors else []),
+    ]
     lost = [*lacks, *_groups_not_held(calibration, held)]
     no_place = f"not in this file: {'; '.join(lost)}" if lost else ""
     return tuple(note for note in ("; ".join(first), no_place, "; ".join(see_to)) if note)
@@ -197,10 +201,11 @@ def _groups_not_held(calibration: Calibration, held: Container[str] = ()) -> lis
     }
     out = ["matrix and bias of the magnetometer"] if calibration.mag and MAGNETOMETER not in held else []
     for kind, (model, u) in by_kind.items():
-        lost = [g for g in groups() if g.kind == kind and g.regressors is None and not g.linear]
-        lost = [g for g in lost if model is not None and g.name in present and g.name not in held]
-        errors = sorted(((*_largest_effect(calibration, group), group) for group in lost), key=lambda each: -each[0])
-        for place, (error, where, group) in enumerate(each for each in errors if each[0] >= NEGLIGIBLE * u):
+        # groups with regressors are in the errors of corrected readings (`_largest_errors`)
+        further = [g for g in groups() if g.kind == kind and g.regressors is None and not g.linear]
+        lost = [g for g in further if model is not None and g.name in present and g.name not in held]
+        effects = sorted(((*_largest_effect(calibration, group), group) for group in lost), key=lambda each: -each[0])
+        for place, (error, where, group) in enumerate(each for each in effects if each[0] >= NEGLIGIBLE * u):
             size = f" ({in_units(group.kind, error)} {where})" if place < MOST_STATED else ""
             out.append(group.words.partition(",")[0] + size)
     return [words.replace("−", "-") for words in out]

@@ -59,6 +59,10 @@ def noise_densities(session: Session) -> NoiseDensities:
 
 DRIFT_VARIANCE = 1.2
 """Variance of the drift within a rest (slope times T) over K² T, for a random walk of the bias: 6/5."""
+DRIFT_BOUND = (
+    "random walks are the largest that the drifts within the rests allow: record an hour at rest and give it with "
+    "--noise"
+)
 
 
 def _noise_of_rests(calibration: Calibration) -> NoiseDensities:
@@ -77,12 +81,8 @@ def _noise_of_rests(calibration: Calibration) -> NoiseDensities:
             )
         white = np.median([sensors.noise for sensors in sensors_at_rest], axis=0).max()
         walks = np.array([sensors.drift for sensors in sensors_at_rest]) ** 2 / (DRIFT_VARIANCE * seconds[:, None])
-        bound = (
-            "random walks are the largest that the drifts within the rests allow: record an hour at rest and give it "
-            "with --noise"
-        )
         walk = float(np.sqrt(walks.mean(axis=0).max()))
-        densities.append(FilterDensities(white=float(white), walk=walk, bounds=(bound,)))
+        densities.append(FilterDensities(white=float(white), walk=walk, bounds=(DRIFT_BOUND,)))
     source = f"{len(all_rests)} rests of the calibration"
     return NoiseDensities(accel=densities[0], gyro=densities[1], rate=calibration.provenance.sample_rate, source=source)
 

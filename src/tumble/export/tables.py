@@ -89,7 +89,8 @@ def csv_thermal(calibration: Calibration) -> Exported:
     celsius = np.unique([low, calibration.reference_temperature or 0.0, high, *round_ones])
     curves = [temperature_curve(calibration, name, celsius) for name in thermal_parameters(calibration)]
     thermal_groups = {group_name(p.name) for p in calibration.parameters if variable_of(group_name(p.name)) in THERMAL}
-    errors, middle = dict.fromkeys(by_kind, 0.0), 0.5 * (celsius[1:] + celsius[:-1])  # of linear interpolation
+    middle = 0.5 * (celsius[1:] + celsius[:-1])
+    errors = dict.fromkeys(by_kind, 0.0)  # of biases by linear interpolation, in the middle between two rows
     for each in curves:
         kind = next((kind for kind in by_kind if group_name(each.name) == f"{kind}.bias"), None)
         if kind is not None:
@@ -99,7 +100,7 @@ def csv_thermal(calibration: Calibration) -> Exported:
     within = " and ".join(in_units(kind, error) for kind, error in errors.items())
     losses = notes_of(
         calibration,
-        left=[f"biases on straight lines between the rows are within {within}"],
+        remarks=[f"biases on straight lines between the rows are within {within}"],
         held={group_name(each.name) for each in curves} | thermal_groups,
         lacks=["parameters that do not change with temperature", "covariances"],
     )

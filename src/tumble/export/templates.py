@@ -162,13 +162,13 @@ class Template:
                 continue
             per_si = 1.0
             if front.counts is not None:
-                (size, unit), readings = _PER[kind], calibration.provenance.readings.get(kind)
+                (size, unit), readings = _COUNTED_PER[kind], calibration.provenance.readings.get(kind)
                 if counts is not None:
-                    per_si, source = _usual_counts(kind, counts), "--counts"
+                    per_si, source = _counts_per_si(kind, counts), "--counts"
                 elif readings is not None and readings.unit == "count" and np.ptp(readings.scale) == 0.0:
                     per_si, source = float(readings.scale[0]), "the recording"
                 else:
-                    per_si = _usual_counts(kind, front.counts)
+                    per_si = _counts_per_si(kind, front.counts)
                     source = "the usual range of the chip: see that it is yours, or give --counts"
                 comments.append(f"{kind}: {per_si * size:.6g} counts a {unit}, by {source}")
             values, correct = self.correction(kind, model, per_si, g_sensitivity(calibration))
@@ -176,7 +176,7 @@ class Template:
             worked = linear_example(kind, model)
             comments.append(example_line(kind, worked, correct(worked.reading)))
             corrections[kind] = correct
-        losses = notes_of(calibration, corrections=corrections, left=remarks, held=front.holds, see_to=front.notes)
+        losses = notes_of(calibration, corrections=corrections, remarks=remarks, held=front.holds, see_to=front.notes)
         names: dict[str, Any] = {str(kind): each for kind, each in numbers.items()}
         names |= {
             "comments": [*comments, *losses],
@@ -235,7 +235,7 @@ class Template:
         """Raise InputError unless the formulas reproduce the test vectors."""
         for kind, test in self.front.test.items():
             model = SensorModel(matrix=np.array(test.matrix), bias=np.array(test.bias))
-            counts = 1.0 if self.front.counts is None else _usual_counts(kind, self.front.counts)
+            counts = 1.0 if self.front.counts is None else _counts_per_si(kind, self.front.counts)
             _, correct = self.correction(kind, model, counts, np.zeros((3, 3)))
             result = correct(np.array(test.reading))
             if np.abs(result - test.corrected).max() > _TEST_TOLERANCE:
@@ -278,12 +278,14 @@ def write_template(file: Path, name: str, calibration: Calibration, **options: A
     return read_template(file, name).write(calibration, **options)
 
 
-_PER: Mapping[SensorKind, tuple[float, str]] = {"accel": (G_STANDARD, "g"), "gyro": (DEGREE, "deg/s")}
+_COUNTED_PER: Mapping[SensorKind, tuple[float, str]] = {"accel": (G_STANDARD, "g"), "gyro": (DEGREE, "deg/s")}
+"""Units by which counts are stated: size in SI, name."""
 
 
-def _usual_counts(kind: SensorKind, counts: list[float] | tuple[float, float]) -> float:
+def _counts_per_si(kind: SensorKind, counts: list[float] | tuple[float, float]) -> float:
     """Convert counts per g and per °/s to counts per SI unit."""
-    return counts[kind == "gyro"] / _PER[kind][0]
+    per_g, per_degree_per_second = counts
+    return (per_g if kind == "accel" else per_degree_per_second) / _COUNTED_PER[kind][0]
 
 
 # -------------------- functions and filters of templates --------------------

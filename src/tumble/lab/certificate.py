@@ -173,7 +173,7 @@ class Certificate(_CertificateTable):
 
 
 def for_reader(sentence: str) -> str:
-    """Return what a sentence of a calibration says was found, for the reader of a certificate."""
+    """Return a sentence of a calibration for the reader of a certificate: what was found, without what to do."""
     return found_in(sentence).replace("probable cause: ", "what would explain the residuals: ")
 
 
@@ -231,7 +231,8 @@ def check_certificate(certificate: Certificate, calibration: Calibration) -> Cal
             f"{expected} a calibration of device {calibration.serial!r} in the frame {calibration.frame!r}, found "
             f"{as_found.serial!r} in {as_found.frame!r}"
         )
-    if as_found.provenance.log_sha256 == calibration.provenance.log_sha256 is not None:
+    log = calibration.provenance.log_sha256
+    if log is not None and as_found.provenance.log_sha256 == log:
         raise InputError(f"{expected} a calibration from before the adjustment, found one of the same recording")
     before = recording_dates(as_found)
     if before and recordings and max(before) > min(recordings):

@@ -52,8 +52,8 @@ def registry() -> None:
 @params.EVERY
 def add(calibration: Path, day: datetime | None, every: bool, place: str, **particulars: Any) -> None:
     """Add a CALIBRATION file and judge it by the limits in force. Exit status 1 if it does not pass."""
-
-    begun, performed = datetime.now(UTC), None if day is None else day.replace(tzinfo=UTC)
+    begun = datetime.now(UTC)
+    performed = None if day is None else day.replace(tzinfo=UTC)
     with lab.open_registry(place, create=True) as opened:
         record = opened.add_calibration(calibration, performed=performed, **particulars)
         action = "added as" if record.added >= begun else "the same calibration is there already:"
@@ -138,8 +138,7 @@ def trend(serial: str, every: bool, place: str) -> None:
     """Every parameter of the device SERIAL over its calibrations.
 
     Exit status 1 if the device has changed significantly since the calibration before, in one parameter or in all
-    together, as in `tumble compare`.
-    """
+    together, as in `tumble compare`."""
     from tumble.lab.registry.views import trend_blocks
 
     with lab.open_registry(place) as opened:
@@ -158,8 +157,7 @@ def trend(serial: str, every: bool, place: str) -> None:
 def limits(model: str | None, file: Path | None, place: str) -> None:
     """Put the acceptance limits of FILE (TOML) in force for the device type MODEL.
 
-    Without FILE those of MODEL are shown, without MODEL those of all types are listed.
-    """
+    Without FILE those of MODEL are shown, without MODEL those of all types are listed."""
     from tumble.lab.registry.views import limits_blocks, limits_table
 
     begun = datetime.now(UTC)
@@ -184,8 +182,7 @@ def due(day: datetime | None, place: str) -> None:
     """When each device is to be calibrated again, the most urgent first.
 
     A device that failed its latest check is withdrawn until it is calibrated again. Exit status 1 if any device is
-    withdrawn or overdue.
-    """
+    withdrawn or overdue."""
     from tumble.lab.registry.views import due_table
 
     with lab.open_registry(place) as opened:

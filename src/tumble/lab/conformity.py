@@ -89,8 +89,10 @@ class LimitJudgement:
     @property
     def risk(self) -> float | None:
         """Probability that the result is wrong; None if it is undecided."""
-        if self.value is None or self.result == "undecided" or not self.u:
-            return None if self.result == "undecided" else 0.0
+        if self.value is None or self.result == "undecided":
+            return None
+        if not self.u:
+            return 0.0
         ends = np.array([self.low - self.value, self.value - self.high]) / self.u
         outside = float(scipy.special.stdtr(math.inf if self.dof is None else self.dof, ends).sum())
         return outside if self.result.endswith("pass") else max(1.0 - outside, 0.0)
@@ -114,10 +116,11 @@ class Verdict:
     @property
     def risk(self) -> float | None:
         """Upper bound of the probability that the result is wrong; None if it is undecided."""
+        if self.result == "undecided":
+            return None
         if self.result.endswith("pass"):
             return min(sum(j.risk or 0.0 for j in self.judgements), 1.0)
-        outside = [j.risk for j in self.judgements if j.result.endswith("fail") and j.risk is not None]
-        return min(outside, default=None)
+        return min(j.risk for j in self.judgements if j.result.endswith("fail") and j.risk is not None)
 
     @property
     def risk_sentence(self) -> str:
@@ -128,12 +131,15 @@ class Verdict:
 
     @property
     def reasons(self) -> list[str]:
-        """Names of the parameters that do not pass, by result."""
+        """Names of the parameters that do not pass, by result, or by the cause if they are undecided."""
         names: dict[str, list[str]] = {"fail": [], "conditional fail": [], "conditional pass": [], "without U": []}
         for j in self.judgements:
-            undecided = "not determined" if j.value is None else "without U"
-            undecided = "changed while it was recorded" if j.expanded is not None else undecided
-            names.setdefault(undecided if j.result == "undecided" else j.result, []).append(j.name)
+            result: str = j.result
+            if result == "undecided" and j.expanded is not None:
+                result = "changed while it was recorded"
+            elif result == "undecided":
+                result = "not determined" if j.value is None else "without U"
+            names.setdefault(result, []).append(j.name)
         return [f"{result}: {', '.join(each)}" for result, each in names.items() if each and result != "pass"]
 
 
@@ -158,15 +164,17 @@ def judge_check(calibration: Calibration, limits: Limits, occasion: Occasion) ->
         unobservable, parameters = (*calibration, *unobservable), ()
     site = calibration.provenance.site
     if site is not None and site.gravity_is_unit:  # limits are in SI
-        of_gravity = UNKNOWN_SITE_GRAVITY_U / site.gravity
-        parameters = tuple(
-            replace(p, u=math.hypot(p.u, of_gravity), dof=welch_satterthwaite([(p.u**2, p.dof), (of_gravity**2, None)]))
-            if p.u and group_name(p.name) == "accel.scale"
-            else p
-            for p in parameters
-        )
+        parameters = tuple(_with_unknown_gravity(p, UNKNOWN_SITE_GRAVITY_U / site.gravity) for p in parameters)
     unsteady = {p.name for p in parameters if calibration.outcome.is_unsteady(group_name(p.name))}
     return judge_parameters(limits, occasion, parameters, unobservable, unsteady)
+
+
+def _with_unknown_gravity(p: Parameter, relative_u: float) -> Parameter:
+    """Add the relative standard uncertainty of gravity to u if the parameter is a scale factor of an accelerometer."""
+    if not p.u or group_name(p.name) != "accel.scale":
+        return p
+    dof = welch_satterthwaite([(p.u**2, p.dof), (relative_u**2, None)])
+    return replace(p, u=math.hypot(p.u, relative_u), dof=dof)
 
 
 def judge_parameters(

@@ -127,9 +127,10 @@ def _row(name: str, values: Array, *, run_to_run: float | None = None, u: float 
 @cache
 def tolerance_factor(n: int) -> float:
     """Return k of the two-sided tolerance interval x̄ ± k s of n normal values, Eq. (1)."""
-    nodes, weights = np.polynomial.legendre.leggauss(80)
-    z = 0.5 * (nodes + 1.0) * 8.5 / np.sqrt(n)
-    density = weights * 8.5 / np.sqrt(n) * 0.5 * np.sqrt(2.0 * n / np.pi) * np.exp(-0.5 * n * z**2)
+    nodes, weights = np.polynomial.legendre.leggauss(80)  # k to more than ten digits
+    half_range = 0.5 * 8.5 / np.sqrt(n)  # beyond 8.5 standard deviations of z, 1/√n, there is a probability of 2e-17
+    z = (nodes + 1.0) * half_range
+    density = weights * half_range * np.sqrt(2.0 * n / np.pi) * np.exp(-0.5 * n * z**2)
     quantile = ncx2.ppf(CONTENT, 1, z**2)
 
     def excess_confidence(k: float) -> float:

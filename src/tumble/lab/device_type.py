@@ -97,7 +97,7 @@ def unit_of(calibration: Calibration) -> Unit | None:
     if calibration.provenance.prior is not None or framed.covariance is None:
         return None
     sizes = {h.name: h.value for h in calibration.evidence.hyperparameters}
-    return unit_by(
+    return unit_of_parameters(
         framed.parameters,
         framed.covariance,
         serial=calibration.serial,
@@ -107,7 +107,7 @@ def unit_of(calibration: Calibration) -> Unit | None:
     )
 
 
-def unit_by(
+def unit_of_parameters(
     parameters: Sequence[Parameter],
     covariance: Array,
     *,
@@ -116,13 +116,13 @@ def unit_by(
     reference: float | None = None,
     launches: LaunchVariances | None = None,
 ) -> Unit:
-    """Return the information, Eq. (1), of the parameters that are properties of the device."""
+    """Return the information, Eq. (1), on those of the parameters that are properties of the device."""
     kept = [i for i, p in enumerate(parameters) if p.u and variable_of(p.name) not in _NOT_OF_DEVICE]
     parameters, C = [parameters[i] for i in kept], covariance[np.ix_(kept, kept)]
     values = np.array([p.value for p in parameters])
     prior = np.array([0.0 if p.prior is None else p.prior**-2 for p in parameters])
     root = np.linalg.cholesky(C)
-    share, axes = np.linalg.eigh(root.T @ (prior[:, None] * root))  # share of the prior in C⁻¹, at most 1
+    share, axes = np.linalg.eigh(root.T @ (prior[:, None] * root))  # share of P in C⁻¹, usually at most 1
     directions = np.linalg.solve(root.T, axes)
     information = (directions * np.clip(1.0 - share, 0.0, None)) @ directions.T
     return Unit(
@@ -173,7 +173,8 @@ def prior_of(units: Sequence[Unit], model: str) -> DevicePrior:
     information = np.array([each * np.outer(size, size) for each, _ in marginals])
     shift = np.array([each * size for _, each in marginals])
 
-    b, groups = np.full(len(names), 0.1), list(positions_by_group(names).values())
+    groups = list(positions_by_group(names).values())
+    b = np.full(len(names), 0.1)  # in units of the variances of the grade, which bound it
     for _ in range(MAX_ITERATIONS):
         _, _, q, p = _mean(information, shift, b)
         before = b.copy()
@@ -228,7 +229,10 @@ def _mean(information: Array, shift: Array, b: Array) -> tuple[Array, Array, Arr
     one = np.eye(len(b))
     W = np.linalg.solve(one + information * b, information)
     w = np.linalg.solve(one + information * b, shift[..., None])[..., 0]
-    M = symmetric_inverse(np.diag(1.0 / np.maximum(1.0 - b, 0.1)) + W.sum(axis=0))
+    P0 = np.diag(
+        1.0 / np.maximum(1.0 - b, 0.1)
+    )  # at most ten times that of the grade, also where b is nearly all of it
+    M = symmetric_inverse(P0 + W.sum(axis=0))
     mean = M @ w.sum(axis=0)
     p = np.diagonal(W, axis1=1, axis2=2) - np.einsum("ijk,kl,ilj->ij", W, M, W)
     return mean, M, w - W @ mean, np.maximum(p, 0.0)

@@ -37,9 +37,9 @@ from tumble.result.accepted import accepted_part
 from tumble.result.calibration import Calibration, calibration_from
 from tumble.sensors.compensation import Compensator
 from tumble.sensors.model import Block
-from tumble.sensors.parameters import groups, positions_by_group
+from tumble.sensors.parameters import variable_of
 from tumble.units import Array, Unit
-from tumble.use.corrector import Stream
+from tumble.use.corrector import Corrected, Stream
 
 _SLICE = 1 << 14
 """Rows corrected at a time: intermediate results fit the cache of a core."""
@@ -91,7 +91,8 @@ def apply_to_session(
     outputs = {kind: channels for kind, channels in inputs.items() if getattr(calibration, kind) is not None}
     for kind, channels in outputs.items():  # in the unit that the names of the columns state, else in SI
         if {unit_of_name(kind, column) for column in channels.columns} != {channels.unit_name}:
-            sensors, (rate, increment) = len(channels.columns), SI.get(kind, (channels.unit_name,) * 2)
+            sensors = len(channels.columns)
+            rate, increment = SI.get(kind, (channels.unit_name, channels.unit_name))  # names of the units
             outputs[kind] = replace(
                 channels,
                 unit=Unit(factor=1.0, kind=channels.unit.kind),
@@ -115,7 +116,7 @@ def correction_notes(calibration: Calibration | FilePath, session: Session | Fil
     """Return sentences on which groups beyond the linear model `apply_to_session` applies, and which it does not."""
     calibration, session = accepted_part(calibration_from(calibration)), session_from(session)
     compensator = calibration.compensator
-    groups_here = positions_by_group(p.name for p in calibration.parameters)
+    variables = {variable_of(p.name) for p in calibration.parameters}
     notes = [f"{absent}; their columns are copied as they are" for absent in calibration.provenance.absent]
     without = "the calibration" if session.log.gyro is not None else "the session"
     if np.any(compensator.levers) and (session.log.gyro is None or compensator.gyro is None):
@@ -132,9 +133,9 @@ def correction_notes(calibration: Calibration | FilePath, session: Session | Fil
     elif compensator.warm and any(compensator.lags.values()):
         lags = ", ".join(f"{lag:z.0f} s ({kind})" for kind, lag in compensator.lags.items())
         notes.append(f"sensors follow the thermometer with a lag of {lags}")
-    if any(group.variable == "hysteresis" for group in groups() if group.name in groups_here):
+    if "hysteresis" in variables:
         notes.append("hysteresis over temperature is not applied: parameters are the mean of both ways")
-    if any(group.variable == "time" for group in groups() if group.name in groups_here):
+    if "time" in variables:
         notes.append("drift in time is not corrected: it belongs to the session in which it was found")
     return tuple(notes)
 
@@ -168,6 +169,7 @@ def _input_channels(calibration: Calibration, session: Session) -> dict[str, Cha
 
 
 def _vector_columns(kind: str, channels: Channels) -> list[str]:
+    """Return the names of the columns that a redundant block's vector gets; none for a triad."""
     return [f"{kind}_{axis}" for axis in "xyz"] if len(channels.columns) > 3 else []
 
 
@@ -184,7 +186,8 @@ def _corrected_tables(
     outputs: Mapping[str, Channels],
     interval: float,
 ) -> Iterator[pl.DataFrame]:
-    names: list[str] | None = None
+    """Yield the corrected tables of all files of a log, with the columns `outputs` for the sensors `inputs`."""
+    names: list[str] | None = None  # columns of the first file
     layout = session.log
     numbers = [column for channels in inputs.values() for column in channels.columns]
     if layout.dialect is not None and layout.dialect.decimal == ",":  # all columns that the session names
@@ -226,54 +229,60 @@ def _corrected_vectors(
     stream: Stream,
     interval: float,
 ) -> Iterator[tuple[pl.DataFrame, dict[str, Array]]]:
-    """Return tables of one file with the true vectors (N, 3) of their rows, or their increments, by kind of sensor.
+    """Yield the tables of one file with the true vectors (N, 3) of their rows, or their increments, by kind of sensor.
 
-    If the stream has a delay, each table is returned after the next one is read."""
-    layout, increments = session.log, {kind for kind, channels in inputs.items() if channels.unit.kind == "increment"}
+    If the stream has a delay, each table is yielded after the next one is read."""
+    layout = session.log
+    increments = {kind for kind, channels in inputs.items() if channels.unit.kind == "increment"}
     irregular = layout.time is not None and not layout.regular and (stream.moved or bool(increments))
     warm = compensator.warm and bool(compensator.references)
-    ready = {kind: np.zeros((0, 3)) for kind in ("accel", "gyro")[: 1 + stream.gyros]}
-    waiting, last = list[tuple[pl.DataFrame, Array]](), None
-    for table in chain(tables, [None]):
-        if table is None:
-            corrected = stream.finish()
-        else:
-            time = celsius = None
-            intervals = np.ones((table.height, 1))
-            with rows_of_numbers(path):
-                if irregular:
-                    time = times_of(table[layout.time or ""], layout)
-                if layout.temperature is not None and warm:
-                    numbers = table.select(pl.col(layout.temperature.columns).cast(pl.Float64)).to_numpy()
-                    celsius = np.asarray(layout.temperature.to_celsius(numbers), dtype=float)
-            if increments:  # integrals over the steps in time without missing samples
-                steps = np.full(table.height, interval)
-                if time is not None:
-                    steps = np.diff(time, prepend=time[0] - interval if last is None else last)
-                    last = float(time[-1])
-                    if not (steps > 0.0).all():
-                        when = time[np.argmin(steps > 0.0)]
-                        raise LogError(
-                            f"{path}: expected times that increase, found {when:.9g} s after a later one; cut the log"
-                        )
-                    steps /= np.maximum(np.floor(steps / interval + 0.5), 1.0)
-                intervals = steps[:, None]
-            with np.errstate(invalid="ignore"):  # damaged readings or steps give NaN
-                means = {
-                    kind: _readings(inputs[kind], table) / (intervals if kind in increments else 1.0)
-                    for kind in ("accel", "gyro")
-                    if kind in inputs
-                }
-            corrected = stream.add(means["accel"], means.get("gyro"), time, celsius)
-            waiting.append((table, intervals))
+    ready = {kind: np.zeros((0, 3)) for kind in ("accel", "gyro")[: 1 + stream.gyros]}  # vectors not yet yielded
+    waiting = list[tuple[pl.DataFrame, Array]]()  # tables whose vectors are not all ready, and intervals (N, 1), s
+    last: float | None = None  # time of the row before the table, s
+
+    def complete(corrected: Corrected) -> Iterator[tuple[pl.DataFrame, dict[str, Array]]]:
+        """Yield the tables that have all their vectors with these."""
         for kind, vectors in (("accel", corrected.force), ("gyro", corrected.rate)):
             if vectors is not None:
                 ready[kind] = np.concatenate([ready[kind], vectors])
         while waiting and len(ready["accel"]) >= waiting[0][0].height:
             table, intervals = waiting.pop(0)
             N = table.height
-            yield (table, {kind: true[:N] * (intervals if kind in increments else 1.0) for kind, true in ready.items()})
-            ready = {kind: true[N:] for kind, true in ready.items()}
+            yield table, {kind: true[:N] * (intervals if kind in increments else 1.0) for kind, true in ready.items()}
+            ready.update({kind: true[N:] for kind, true in ready.items()})
+
+    for table in tables:
+        time = celsius = None
+        with rows_of_numbers(path):
+            if irregular:
+                time = times_of(table[layout.time or ""], layout)
+            if layout.temperature is not None and warm:
+                numbers = table.select(pl.col(layout.temperature.columns).cast(pl.Float64)).to_numpy()
+                celsius = np.asarray(layout.temperature.to_celsius(numbers), dtype=float)
+        steps = np.full(table.height, interval)
+        if increments and time is not None:
+            steps = _steps(time, time[0] - interval if last is None else last, interval, path)
+            last = float(time[-1])
+        intervals = steps[:, None]
+        with np.errstate(invalid="ignore"):  # damaged readings or steps give NaN
+            means = {
+                kind: _readings(inputs[kind], table) / (intervals if kind in increments else 1.0)
+                for kind in ("accel", "gyro")
+                if kind in inputs
+            }
+        waiting.append((table, intervals))
+        yield from complete(stream.add(means["accel"], means.get("gyro"), time, celsius))
+    yield from complete(stream.finish())
+
+
+def _steps(time: Array, before: float, interval: float, path: Path) -> Array:
+    """Return the steps in time (N,) up to each row, s, without missing samples; `before` is the time of the row before
+    the first. Raises LogError if the times do not increase."""
+    steps = np.diff(time, prepend=before)
+    if not (steps > 0.0).all():
+        when = time[np.argmin(steps > 0.0)]
+        raise LogError(f"{path}: expected times that increase, found {when:.9g} s after a later one; cut the log")
+    return np.asarray(steps / np.maximum(np.floor(steps / interval + 0.5), 1.0))
 
 
 def check_device(calibration: Calibration, session: Session) -> None:

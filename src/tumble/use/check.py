@@ -67,6 +67,7 @@ from tumble.use.apply import check_device
 from tumble.use.positions import PositionResiduals, fits_of, position_residuals, table_observations
 
 _FITS = {"accel": "accelerometers", "gyro": "gyro rests", "turn": "gyro turns", "velocity": "velocities of turns"}
+"""Fits of a calibration whose scatter the components of variance of the check take."""
 
 GRADE_DEGREES = 4.0
 """Degrees of freedom of the variances usual for a grade: their standard deviations are uncertain by a third."""
@@ -248,13 +249,12 @@ def check_calibration(
     converted = accepted.in_frame("accelerometer")
     if converted.gyro is None and observations.gyro_block is not None:
         observations = observations.of_accelerometers()
-    launches, sheet = _launches(converted, launches), session.device.prior
-    prior = prior_at_check(converted, observations, grade, sheet, launches)
-    result = field_check(observations, prior)
+    data_sheet = session.device.prior
+    result = field_check(observations, prior_at_check(converted, observations, grade, data_sheet, launches))
     rests_agree = None
     if not result.explained and observations.gyro_block is not None:
         at_rest = observations.of_accelerometers()
-        rests_agree = field_check(at_rest, prior_at_check(converted, at_rest, grade, sheet, launches)).valid
+        rests_agree = field_check(at_rest, prior_at_check(converted, at_rest, grade, data_sheet, launches)).valid
     return replace(
         check,
         turns=0 if observations.turns is None else len(observations.turns),
@@ -275,10 +275,11 @@ def _gravity_check(source: str, residuals: PositionResiduals, **columns: Sequenc
 def _assumptions(
     calibration: Calibration, celsius: float | None, grade: str, guessed_from: str, launches: Sequence[LaunchVariances]
 ) -> Iterator[str]:
-    """Return notes on changes from one power-on to the next, and on the temperature of the check, °C."""
+    """Yield notes on changes from one power-on to the next, and on the temperature of the check, °C; `launches` are
+    those of other calibrations of the device."""
     origin = f" (guessed from {guessed_from}; state it as [device] grade)" if guessed_from else ""
-    count = sum(each.degrees + 1 for each in launches)
-    by_launches = f", or as from launch to launch of {count} launches of the device" if launches else ""
+    count = sum(each.degrees + 1 for each in _all_launches(calibration, launches))
+    by_launches = f", or as from launch to launch of {count} launches of the device" if count else ""
     yield (
         f"changes from one power-on to the next: allowed for as usual for the grade {grade}{by_launches}{origin}, in "
         "the tests of the parameters, not in u of g − |f|"
@@ -305,10 +306,11 @@ def accepted_for_check(calibration: Calibration | FilePath) -> Calibration:
     return accepted
 
 
-def _launches(calibration: Calibration, further: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:
-    """Return the launches of a calibration and of others of its device, each once."""
-    behind = launch_variances(calibration)
-    return further if behind is None else (behind, *(each for each in further if not each.logs & behind.logs))
+def _all_launches(calibration: Calibration, others: Sequence[LaunchVariances]) -> Sequence[LaunchVariances]:
+    """Return the variances between the launches of a calibration, if it has several, and of other calibrations of its
+    device that have no log in common with it."""
+    own = launch_variances(calibration)
+    return others if own is None else (own, *(each for each in others if not each.logs & own.logs))
 
 
 # -------------------- the prior --------------------
@@ -339,25 +341,28 @@ def prior_at_check(
             f"calibration of {calibration.serial!r}: expected the parameters of the session's sensors, found none of "
             f"{', '.join(missing)}; check with recordings of the same device"
         )
-    gravity, values = observations.site.gravity_u, np.array([calibrated.get(name, 0.0) for name in names])
-    covariance = np.diag([gravity**2, *(sizes.get(group_name(name), 0.0) ** 2 for name in names)])
+    values = np.array([calibrated.get(name, 0.0) for name in names])
+    gravity_u = observations.site.gravity_u
+    covariance = np.diag([gravity_u**2, *(sizes.get(group_name(name), 0.0) ** 2 for name in names)])
     indices = 1 + np.flatnonzero([name in calibrated for name in names])
     covariance[np.ix_(indices, indices)] = calibration.covariance_of([names[i - 1] for i in indices])
     if shared_gravity(calibration.provenance.site, observations.site):
         change = gravity_sensitivity(calibration.parameters, calibration.covariance, calibration.provenance.site)
         by_name = dict(zip(calibration, change.tolist(), strict=True))
-        covariance[0, 1:] = covariance[1:, 0] = gravity * np.array([by_name.get(name, 0.0) for name in names])
+        covariance[0, 1:] = covariance[1:, 0] = gravity_u * np.array([by_name.get(name, 0.0) for name in names])
 
     # at the temperature of the check
-    references, J = sensor_temperatures(observations), np.eye(len(covariance))
+    references = sensor_temperatures(observations)
+    J = np.eye(len(covariance))
     if calibration.reference_temperature is not None and references:
         J[1:, 1:] = to_references(calibration, names, replace(calibration.temperature, references=references))
-    # s² and 1/ν_s of another power-on, Eq. (2)
+
+    # s² and 1/ν_s of another power-on, Eq. (2), with `between` for s_L²
     single = len(calibration.evidence.launches) < 2 and not calibration.evidence.together
-    others = _launches(calibration, launches)
+    of_device = _all_launches(calibration, launches)
     turned_on, inverse_degrees = np.zeros((2, len(covariance)))
     for i, name in enumerate(linear, 1):
-        variances = [(each.degrees, each.variances[name]) for each in others if name in each.variances]
+        variances = [(each.degrees, each.variances[name]) for each in of_device if name in each.variances]
         degrees = sum(count for count, _ in variances)
         between = sum(count * variance for count, variance in variances) / max(degrees, 1)
         total = GRADE_DEGREES + degrees

@@ -67,8 +67,8 @@ class Difference:
 
     @classmethod
     def between(cls, first: Estimated, second: Estimated, g: Array, h: Array, **others: Any) -> Self:
-        """Return the difference of a parameter that k shared errors change by `g` (k,) in the first and `h` (k,) in the
-        second; `others` are the other fields."""
+        """Return the difference of a parameter that k shared errors change by `g` (k,), g₁, in the first and by `h`
+        (k,), g₂, in the second; `others` are the other fields."""
         parts: list[tuple[float, float | None]] = [
             (float(((g - h) ** 2).sum()), None),
             unshared_variance(first.u, first.dof, g.tolist()),
@@ -194,17 +194,19 @@ def compare_calibrations(first: Calibration | FilePath, second: Calibration | Fi
             "none in both; compare devices of one kind"
         )
     sources = shared_errors(a, b)
-    shared = []  # changes (m, k) of the parameters by one standard uncertainty of each of k shared errors
-    for k, calibration in enumerate((a, b)):
-        order, changes = list(calibration), [np.zeros((len(calibration), 0)), *(each[k] for each in sources.values())]
-        shared.append(np.concatenate(changes, axis=1)[[order.index(name) for name in common]])
+    shared = []  # changes (m, k) of the common parameters by one standard uncertainty of each of k shared errors
+    for i, calibration in enumerate((a, b)):
+        order = list(calibration)
+        changes = np.concatenate([np.zeros((len(order), 0)), *(each[i] for each in sources.values())], axis=1)
+        shared.append(changes[[order.index(name) for name in common]])
     differences = tuple(
         Difference.between(a[name], b[name], g, h, name=name, unit=a[name].unit)
         for name, g, h in zip(common, *shared, strict=True)
     )
-    covariances, covariance = (a.covariance_of(common), b.covariance_of(common)), None
-    if covariances[0] is not None and covariances[1] is not None:
-        covariance = covariances[0] + covariances[1] - shared[0] @ shared[1].T - shared[1] @ shared[0].T
+    covariance = None
+    C1, C2 = a.covariance_of(common), b.covariance_of(common)
+    if C1 is not None and C2 is not None:
+        covariance = C1 + C2 - shared[0] @ shared[1].T - shared[1] @ shared[0].T
     learned = [i for i, d in enumerate(differences) if d.u != 0.0]
     chi_square, degrees, probability = _chi_square(
         [differences[i] for i in learned],
@@ -235,17 +237,19 @@ def _chi_square(
     if covariance is None or np.any(np.diag(covariance) <= 0.0):
         return None, None, None
     u = np.sqrt(np.diag(covariance))
-    correlation, scaled = covariance / np.outer(u, u), np.array([d.value for d in differences]) / u
+    correlation = covariance / np.outer(u, u)
     estimated: Sequence[Difference | Parameter] = differences
-    if len(single) < 2:
+    if len(single) == 2:
+        d_over_u = np.array([d.value for d in differences]) / u
+        degrees = float(np.linalg.matrix_rank(correlation, hermitian=True))
+        chi_square = max(0.0, float(d_over_u @ np.linalg.pinv(correlation, hermitian=True) @ d_over_u))
+    else:  # of normal deviates z, by Satterthwaite
         estimated = [each[d.name] for each in single for d in differences]
         tails = [max(0.5 * (d.by_chance or 0.0), 1e-300) for d in differences]  # the deviates are finite
         z = scipy.special.ndtri(tails)
-        scale = len(z) / float(np.sum(correlation**2))
-        chi_square, degrees = scale * float(z @ z), scale * len(z)
-    else:
-        degrees = float(np.linalg.matrix_rank(correlation, hermitian=True))
-        chi_square = max(0.0, float(scaled @ np.linalg.pinv(correlation, hermitian=True) @ scaled))
+        scale = len(z) / float(np.sum(correlation**2))  # m/tr R²
+        chi_square = scale * float(z @ z)
+        degrees = scale * len(z)
     fewest = min((each.dof for each in estimated if each.u and each.dof is not None), default=None)
     if fewest is None:
         return chi_square, degrees, float(scipy.special.chdtrc(degrees, chi_square))

@@ -90,8 +90,10 @@ class Ranges:
 class Stream:
     """Correction of the rows of one stream with sampling `interval`, s, and the sensors `blocks`.
 
-    `thermometers` is the number of thermometers, which read `zero` at 0 °C. Without `gyros` no rates are corrected.
-    Samples outside the `ranges` are flagged. `latest` is CLOCK_RESTART, or 0 for ordered stamps."""
+    `thermometers` is the number of thermometers, which read `zero` at 0 °C: 273.15 in K, 0 in °C. Without `gyros` no
+    rates are corrected. Samples outside the `ranges` are flagged. A stamp that is earlier than the last one by more
+    than `clock_restart`, s, begins another stream: CLOCK_RESTART, or 0 for a log, whose stamps are in order. Readings
+    and state are arrays that `tumble.sensors.fixed_point.advance` describes."""
 
     def __init__(
         self,
@@ -103,7 +105,7 @@ class Stream:
         gyros: bool = True,
         ranges: Ranges | None = None,
         zero: float = 0.0,
-        latest: float = 0.0,
+        clock_restart: float = 0.0,
     ) -> None:
         ranges = ranges or Ranges()
         self.gyros = gyros and blocks[1] is not None and compensator.gyro is not None
@@ -116,15 +118,15 @@ class Stream:
             gyro_thermometers = thermometers + gyro_thermometers
         self.moved = self.gyros and bool(np.any(compensator.levers))
         self.delay = int(self.moved)
-        accel, rates = compensator.solvers["accel"], compensator.solvers["gyro"] if self.gyros else None
-        n, m = len(accel.sheet), 0 if rates is None else len(rates.sheet)
-        sheet = np.zeros((0, WIDTH)) if rates is None else rates.sheet
-        steps, feels_force = (1, False) if rates is None else (rates.steps, rates.feels)
-        self._sensors = accel.sheet, sheet, accel_thermometers, gyro_thermometers, accel.steps, steps, feels_force
+        accel, gyro = compensator.solvers["accel"], compensator.solvers["gyro"] if self.gyros else None
+        gyro_sheet = np.zeros((0, WIDTH)) if gyro is None else gyro.sheet
+        gyro_steps, feels = (1, False) if gyro is None else (gyro.steps, gyro.feels)
+        self._sensors = accel.sheet, gyro_sheet, accel_thermometers, gyro_thermometers, accel.steps, gyro_steps, feels
         limits = LONGEST_STEP * interval, ranges.rate**2, ranges.force**2
-        self._settings = np.array([interval, *ranges.temperature, latest, zero, *limits, nan])
+        self._settings = np.array([interval, *ranges.temperature, clock_restart, zero, *limits, nan])
+        n, m = len(accel.sheet), len(gyro_sheet)
         followers = len(lags) * thermometers
-        self._start = np.zeros(followers)
+        self._start = np.zeros(followers)  # temperatures of the sensors before the first sample, °C
         for block, numbers in ((compensator.accel, accel_thermometers), (compensator.gyro, gyro_thermometers)):
             if block is not None and block.kind in compensator.references and len(numbers) == block.size:
                 self._start[numbers] = compensator.references[block.kind]
@@ -135,7 +137,7 @@ class Stream:
             np.zeros((2, max(n, m))),
         )
         self._nothing = np.zeros((0, n)), np.zeros((0, m)), np.zeros(0), np.zeros((0, thermometers))
-        self._lost = self._nothing[3]
+        self._no_temperature = self._nothing[3]  # rows of NaN, for readings without temperatures
         self._out: tuple[Array, ...] = np.zeros((0, 2 + followers)), np.zeros((0, 3)), np.zeros((0, 3))
         self._view = self._views(0)
         self.reset()
@@ -151,10 +153,11 @@ class Stream:
         """Number of late samples that were dropped."""
         return int(self._state[2][2])
 
-    def add(self, accel: Array, gyro: Array | None, time: Array | None, celsius: Array | None) -> Corrected:
+    def add(self, accel: Array, gyro: Array | None, time: Array | None, temperature: Array | None) -> Corrected:
         """Add readings (N, n) and (N, m), SI, and return the samples whose correction they complete.
 
-        Stamps (N,) are by default those of a regular clock; temperatures (N, T) are NaN where they are lost."""
+        Stamps (N,), s, are by default those of a regular clock; temperatures (N, T) are in the unit of `zero`, NaN
+        where they are lost."""
         count = len(accel)
         if count + 1 > len(self._out[0]):
             widths = (each.shape[1] for each in self._out)
@@ -163,14 +166,11 @@ class Stream:
             rows = np.zeros((min(count, _ROWS) + 2, kept.shape[1]))
             rows[:2] = kept[:2]
             self._state, self._view = (rows, *others), self._views(0)
-            self._lost = np.full((min(count, _ROWS), self._lost.shape[1]), nan)
-        ready = 0
-        pieces: tuple[Array | None, ...] = (accel, gyro, time, celsius)
+            self._no_temperature = np.full((min(count, _ROWS), self._no_temperature.shape[1]), nan)
+        given, ready = (accel, gyro, time, temperature), 0
         for i in range(0, count, _ROWS):
-            if count > _ROWS:
-                pieces = tuple(
-                    None if given is None else given[i : i + _ROWS] for given in (accel, gyro, time, celsius)
-                )
+            whole = count <= _ROWS  # the usual case of single samples is not sliced
+            pieces = given if whole else tuple(None if each is None else each[i : i + _ROWS] for each in given)
             ready += self._advance(pieces, ready)
         return self._corrected(ready)
 
@@ -182,7 +182,7 @@ class Stream:
 
     def _advance(self, pieces: tuple[Array | None, ...], done: int, *, last: bool = False) -> int:
         """Correct more samples after the first `done` of this call; return how many are ready."""
-        absent = (*self._nothing[:3], self._lost)
+        absent = (*self._nothing[:3], self._no_temperature)
         rows = tuple(other if each is None else each for each, other in zip(pieces, absent, strict=True))
         out = self._out if not done else tuple(each[done:] for each in self._out)
         ready, self._held = advance(
@@ -266,7 +266,7 @@ class Corrector:
             thermometers=self.thermometers,
             ranges=self.ranges,
             zero=ZERO_CELSIUS,
-            latest=CLOCK_RESTART,
+            clock_restart=CLOCK_RESTART,
         )
 
     @property

@@ -65,7 +65,8 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
     Unit, scale and gravity are those of the calibration; the noise is that of its rests or of a row of its table.
     Raises InputError for a table that cannot be read, and CalibrationError for a calibration that does not state the
     unit of a reading or its uncertainty."""
-    table, meaning = read_table(path), calibration.provenance.readings.get("accel")
+    table = read_table(path)
+    meaning = calibration.provenance.readings.get("accel")  # unit, scale and offset of a reading
     if calibration.accel is None or meaning is None or meaning.increments or calibration.provenance.site is None:
         raise CalibrationError(
             f"{path}: expected a calibration of three accelerometers that says what their readings are worth, found "
@@ -75,10 +76,12 @@ def table_observations(calibration: Calibration, path: Path) -> tuple[Observatio
     # variance of a row without the scatter: that of a row of the calibration's table, or of the mean over a rest
     recorded = calibration.evidence.all_rests
     rests = [(np.array(r.accel.noise), r.stop - r.start) for r in recorded if r.accel is not None]
-    variance = np.array(meaning.row_u) ** 2 if meaning.row_u else np.zeros(3)
-    if rests and not meaning.row_u:
+    variance = np.zeros(3)
+    if meaning.row_u:
+        variance = np.array(meaning.row_u) ** 2
+    elif rests:
         variance = np.median([noise**2 / duration for noise, duration in rests], axis=0)
-    elif not meaning.row_u and _accelerometer_fit(calibration).scatter == 0.0:
+    elif _accelerometer_fit(calibration).scatter == 0.0:
         raise CalibrationError(
             f"calibration of {calibration.serial!r}: expected one that says how uncertain a reading is, found no "
             "scatter in it: it has as many positions as parameters; calibrate with more"
@@ -121,7 +124,7 @@ def position_residuals(calibration: Calibration, observations: Observations, sha
             "made from; record a few rests in other attitudes, such as on edges of a cube"
         )
     fit, site = _accelerometer_fit(calibration), calibration.provenance.site
-    across = unit_vector(force)[:, None, :] @ calibration.accel.inverse()
+    across = unit_vector(force)[:, None, :] @ calibration.accel.inverse()  # vᵀ S⁻¹ (N, 1, n), from a reading to |true|
     noise = rests.accel_covariance + fit.scatter**2 * np.eye(block.size)
     variance = (across @ noise @ np.swapaxes(across, 1, 2))[:, 0, 0]
     by_parameters = np.einsum("im,mk,ik->i", J, covariance, J)

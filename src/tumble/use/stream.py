@@ -8,9 +8,10 @@ more noise than MOVEMENT_NOISE_RATIO times that of the calibration's rests is no
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import TypeAlias
 
@@ -32,7 +33,7 @@ from tumble.rotation import unit_vector
 from tumble.run.from_estimate import check_sensors, mean_temperature
 from tumble.run.observed import grade_of
 from tumble.sensors.parameters import usual_sizes
-from tumble.units import ZERO_CELSIUS, Array
+from tumble.units import ZERO_CELSIUS, Array, BoolArray
 from tumble.use.apply import check_device
 from tumble.use.check import (
     CheckedRest,
@@ -74,10 +75,13 @@ class StreamCheck:
         if accepted.gyro is not None and session.gyro_block is None:
             raise InputError(f"{session.name}: expected gyros, which the calibration has, found none")
         self.calibration = accepted.in_frame("accelerometer")
-        self.session, self.rate = session, sample_rate
-        self.rests, self.moved = list[CheckedRest](), tuple[MovedBias, ...]()
+        self.session = session
+        self.rate = sample_rate
+        self.rests = list[CheckedRest]()
+        self.moved = tuple[MovedBias, ...]()
         self._gyro = None if accepted.gyro is None else session.gyro_block
-        self._ranges, self._white = Ranges.of(accepted), dict[str, Array]()  # densities (n,) of noise, SI/√Hz
+        self._ranges = Ranges.of(accepted)
+        self._white = dict[str, Array]()  # noise densities (n,) in the rests of the calibration, SI/√Hz
         for kind in ("accel", "gyro"):
             sensors = (getattr(rest, kind) for rest in accepted.evidence.all_rests)
             if noise := [each.noise for each in sensors if each is not None]:
@@ -91,66 +95,72 @@ class StreamCheck:
             thermometers=thermometers,
             ranges=self._ranges,
             zero=ZERO_CELSIUS,
-            latest=CLOCK_RESTART,
+            clock_restart=CLOCK_RESTART,
         )
         self._chain: RestChain | None = None
-        self._grade = self._guessed_from = ""
-        self._restarted = self._too_warm = False
-        self._last: tuple[int, float] | None = None
-        self._begin()
-
-    def _begin(self) -> None:
-        session = self.session
-        self._finder = RestStream(
-            rate=self.rate,
-            accel=session.accel_block,
-            gyro=self._gyro,
-            site=session.site,
-            increments=session.log.increments,
+        self._grade = self._guessed_from = ""  # from the first rest
+        self._restarted = False  # whether the next rest is the first of another power-on
+        self._too_warm = False
+        self._last_sample: tuple[int, float] | None = None  # number of its file, and time, s
+        accel, increments = session.accel_block, session.log.increments
+        self._new_rest_stream = partial(
+            RestStream, rate=sample_rate, accel=accel, gyro=self._gyro, site=session.site, increments=increments
         )
+        self._rest_stream = self._new_rest_stream()
 
     def feed(self, chunk: Chunk) -> list[Event]:
         """Add samples; return the rests that have ended, and notices, in the order of time."""
-        events, dt = list[Event](), 1.0 / self.rate
-        cuts = (np.flatnonzero(np.diff(chunk.time) - dt > LONGEST_PAUSE) + 1).tolist()
+        events = list[Event]()
+        cuts = (np.flatnonzero(np.diff(chunk.time) - 1.0 / self.rate > LONGEST_PAUSE) + 1).tolist()
         for begin, end in pairwise([0, *cuts, len(chunk.time)]):
             if end == begin:
                 continue
             part = chunk.part(slice(begin, end))
-            first = float(part.time[0])
-            if self._last is not None:
-                file, last = self._last
-                restarted = first < last - CLOCK_RESTART or (part.file != file and first <= last)
-                if restarted or first - dt - last > LONGEST_PAUSE:
-                    events += self.finish()
-                    self._begin()
-                    text = f"nothing came for {first - last:.1f} s; the check goes on"
-                    if restarted:
-                        self._stream.reset()
-                        self._restarted, text = True, "the clock begins anew: taken for another power-on"
-                    events.append(Notice(time=first, text=text))
-            self._last = part.file, float(part.time[-1])
+            events += self._after_a_cut(part)
+            self._last_sample = part.file, float(part.time[-1])
             corrected = self._stream.add(part.accel, None, part.time, part.temperature)
-            too_warm = corrected.outside["temperature"]
-            if len(too_warm) and too_warm[-1] != self._too_warm:
-                self._too_warm = bool(too_warm[-1])
-                low, high = self._ranges.temperature
-                where = "outside" if self._too_warm else "again within"
-                since = np.flatnonzero(np.append(True, too_warm[1:] != too_warm[:-1]))[-1]
-                text = f"temperature {where} {low:.1f} to {high:.1f} °C, which was calibrated"
-                events.append(Notice(time=float(part.time[since]), text=text))
+            events += self._temperature_notices(part.time, corrected.outside["temperature"])
             piece = replace(part, file=0, gyro=None if self._gyro is None else part.gyro)
             if part.temperature is not None:
                 piece = replace(piece, temperature=corrected.temperature.copy())
-            events += map(self._checked, self._finder.feed(piece))
+            events += map(self._check_rest, self._rest_stream.feed(piece))
         return events
 
     def finish(self) -> list[Event]:
         """Return the last rest, at the end of the stream."""
-        return [self._checked(rest) for rest in self._finder.finish()]
+        return [self._check_rest(rest) for rest in self._rest_stream.finish()]
 
-    def _checked(self, observations: Observations) -> CheckedRest:
-        """Test the only rest of the observations against the calibration and the earlier rests."""
+    def _after_a_cut(self, part: Chunk) -> Iterator[Event]:
+        """End the last rest if samples follow a pause or a restart of the clock, and yield it and a notice."""
+        if self._last_sample is None:
+            return
+        file, last = self._last_sample
+        first = float(part.time[0])
+        restarted = first < last - CLOCK_RESTART or (part.file != file and first <= last)
+        if not restarted and first - 1.0 / self.rate - last <= LONGEST_PAUSE:
+            return
+        yield from self.finish()
+        self._rest_stream = self._new_rest_stream()
+        text = f"nothing came for {first - last:.1f} s; the check goes on"
+        if restarted:
+            self._stream.reset()
+            self._restarted = True
+            text = "the clock begins anew: taken for another power-on"
+        yield Notice(time=first, text=text)
+
+    def _temperature_notices(self, time: Array, too_warm: BoolArray) -> Iterator[Notice]:
+        """Yield a notice if the last sample is `too_warm` (N,) or too cold and the ones before were not, or reverse."""
+        if len(too_warm) == 0 or too_warm[-1] == self._too_warm:
+            return
+        self._too_warm = bool(too_warm[-1])
+        low, high = self._ranges.temperature
+        where = "outside" if self._too_warm else "again within"
+        since = np.flatnonzero(np.append(True, too_warm[1:] != too_warm[:-1]))[-1]
+        text = f"temperature {where} {low:.1f} to {high:.1f} °C, which was calibrated"
+        yield Notice(time=float(time[since]), text=text)
+
+    def _check_rest(self, observations: Observations) -> CheckedRest:
+        """Compare the only rest of the observations with gravity, and test it unless it is too noisy for a rest."""
         rests, block = observations.rests, observations.accel_block
         start, stop = float(rests.start[0]), float(rests.stop[0])
         kelvin = rests.temperatures
@@ -175,11 +185,12 @@ class StreamCheck:
             if times > MOVEMENT_NOISE_RATIO and not rest.why:
                 rest = replace(rest, why=f"{kind} {times:.0f} times as noisy as in the rests of the calibration")
         if not rest.why:
-            rest = self._judged(rest, observations, force)
+            rest = self._tested(rest, observations, force)
         self.rests.append(rest)
         return rest
 
-    def _judged(self, rest: CheckedRest, observations: Observations, force: Array) -> CheckedRest:
+    def _tested(self, rest: CheckedRest, observations: Observations, force: Array) -> CheckedRest:
+        """Test a rest with this corrected `force` (3,) against the calibration and the rests before it."""
         if not self._grade:
             self._grade, self._guessed_from = grade_of(self.session, observations)
         data_sheet = self.session.device.prior
@@ -195,9 +206,10 @@ class StreamCheck:
             return rest
         u, name = min(tests)  # the accelerometer along the vertical, which is predicted best
         axis = self._chain.instrument.accel.axes[self._chain.instrument.names.index(name)]
-        upward = float(axis @ unit_vector(force))
-        sigmas = judged.tests[name].sigmas * float(np.sign(upward))
-        return replace(rest, u=u * abs(upward), sigmas=-sigmas)
+        upward = float(
+            axis @ unit_vector(force)
+        )  # a change of the bias by 1 changes |f| by this, and g − |f| by minus it
+        return replace(rest, u=u * abs(upward), sigmas=-judged.tests[name].sigmas * float(np.sign(upward)))
 
     def result(self) -> FieldCheck:
         """Return all rests so far as one check, with the biases that have moved among its changes.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from html import escape
 from itertools import chain
 from pathlib import Path
@@ -91,87 +91,33 @@ def calibration_blocks(
 ) -> list[Block]:
     """Return the output of `tumble calibrate`: verdict, improvement, parameters, remarks, and the next command.
 
-    Parameters
-    ----------
-    calibration
-        The calibration.
-    truth
-        True values by the names of parameters.
-    others
-        Calibrations of the same sessions by other methods.
-    every
-        Show all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, all remarks and
-        notes. Otherwise show the accepted linear parameters, one group per row unless values are compared, a line on
-        launches, iterations and other methods, and at most MAX_REMARKS remarks, on MAX_LINES lines.
-    budget
-        Show the uncertainty budget.
-    file, session, log
-        File of the calibration, its session, and the log that the session was made of.
-    """
-    parameters, evidence = calibration.parameters, calibration.evidence
-    if not every:
-        outcome = calibration.outcome
-        linear = linear_parameters(parameters)
-        parameters = tuple(p for p in linear if outcome.of(group_name(p.name)).accepted or "mag" in p.name)
-    several, passport = bool(evidence.launches), any(p.deviation is not None for p in parameters)
-    compared = every or passport or bool(truth)
-    by_kind = [*verdicts(calibration)]
-    if spared := accepted_groups(calibration):
-        by_kind.insert(-1, f"accepted groups: {', '.join(spared)}")
+    With `every` it has all parameters, tables of groups, rests, turns, fits, launches, iterations and methods, all
+    remarks and notes; otherwise the accepted linear parameters, one group per row unless values are compared, a line on
+    launches, iterations and other methods, and at most MAX_REMARKS remarks, on MAX_LINES lines. `truth` are true values
+    by the names of parameters, `others` calibrations of the same sessions by other methods. `budget` adds the
+    uncertainty budget. `file`, `session` and `log` are those of the calibration, for the next command."""
+    if every:
+        return _complete_blocks(calibration, truth, others, budget=budget)
+    outcome = calibration.outcome
+    linear = linear_parameters(calibration.parameters)
+    parameters = tuple(p for p in linear if outcome.of(group_name(p.name)).accepted or "mag" in p.name)
+    *by_kind, verdict = _verdict_lines(calibration)
+    compared = bool(truth) or any(p.deviation is not None for p in parameters)
     blocks: list[Block] = [
-        f"device {device_name(calibration.serial, calibration.model)} · method {calibration.method} · frame "
-        f"{calibration.frame}",
-        *(by_kind if every else [by_kind[-1] + (f" ({'; '.join(by_kind[:-1])})" if by_kind[:-1] else "")]),
+        _headline(calibration),
+        verdict + (f" ({'; '.join(by_kind)})" if by_kind else ""),
         *improvement(calibration),
-        *(note for note in calibration.provenance.notes if not every and note.startswith(IN_MOTION)),
+        *(note for note in calibration.provenance.notes if note.startswith(IN_MOTION)),
         parameter_table(calibration, parameters, truth) if compared else compact_table(parameters),
-        *([] if every else _over_temperature(calibration)),
+        *_over_temperature(calibration),
+        *_budget_and_sessions(calibration, budget=budget, every=False),
     ]
-    blocks += [group_table(calibration), *unknown_blocks(calibration)] if every else []
-    if budget:
-        from tumble.views.uncertainty_budget import budget_blocks
-
-        blocks += budget_blocks(calibration, every=every)
-    sessions = []  # of one common estimate
-    for member in evidence.together:
-        low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
-        counts = {"rests": str(member.rests), "turns": str(member.turns)}
-        sessions.append({"session": member.session, **counts, "from °C": low, "to °C": high})
-    blocks.append(table(sessions, words=("session",)))
-    iterated = [c for c in (calibration, *others) if c.method in ITERATED_METHODS and c.evidence.iterations]
-    if every:
-        if several:
-            blocks += [launch_table(calibration, parameters, deviations=each) for each in (False, True)[: 1 + passport]]
-        for each in iterated:
-            blocks += [f"method {each.method}"] if others else []
-            blocks.append(iteration_table(each, [p for p in each.parameters if p.name in calibration]))
-        blocks += [MEANING_OF_INCREMENTS] if iterated else []
-        blocks += [method_table(calibration, other, parameters) for other in others]
-    lines = list[str]()
-    if truth is not None:
-        z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth])
-        rms = float(np.sqrt(np.mean(z**2))) if len(z) else 0.0
-        compared_with = f"{len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"
-        lines.append(f"truth: {compared_with if len(z) else 'no parameter was estimated that it has'}")
-    if every:
-        if not several:
-            from tumble.views.report.recording import recordings, tables_of
-
-            blocks += [shown for shown in tables_of(recordings(calibration)[0]) if shown]
-        lines += [] if calibration.prediction is None else [prediction_text(calibration.prediction)]
-        lines += [rest_summary(evidence)] if evidence.rests and not several else []
-        lines += [f"remark: {remark}" for remark in remarks_of(calibration)]
-        site = calibration.provenance.site
-        lines += [gravity_text(site)] if site is not None and not site.gravity_is_unit else []
-        return [*blocks, Items(items=(*lines, *notes_without_expanded(parameters), *calibration.provenance.notes))]
-    units, spreads = shown_units(parameters), list[str]()
-    for name, members in by_group(parameters).items() if several else ():
-        size, unit = units[members[0].name]
-        rms = math.sqrt(sum((p.run_to_run or 0.0) ** 2 for p in members) / len(members))
-        spreads.append(f"{name} {significant(rms / size, 2)} {unit}")
-    lines += [f"from launch to launch: {', '.join(spreads)}"] if several else []
-    for each in iterated:
-        steps, done = each.evidence.iterations, "one iteration; a second (--iterations 2) would show its error"
+    lines = _truth_lines(calibration, truth)
+    if calibration.evidence.launches:
+        lines.append(f"from launch to launch: {', '.join(_spreads(parameters))}")
+    for each in _iterated(calibration, others):
+        steps = each.evidence.iterations
+        done = "one iteration; a second (--iterations 2) would show its error"
         if len(steps) > 1:
             done = f"the last of {len(steps)} iterations added {_largest_change(each, steps[-1])}"
         lines.append(f"{each.method}: {done}")
@@ -183,34 +129,129 @@ def calibration_blocks(
     lines += notes_without_expanded(parameters)
     if minor := _minor_assumptions(calibration):
         lines.append(f"with less effect on u: {'; '.join(re.split('[:,] ', each)[0] for each in minor)}")
-    if accepted_kinds(calibration):
-        name, others_of_kind = _export_target(calibration, log)
-        to = f"{name} -o imu{target(name).ending} ({others_of_kind}others: --help)"
-        following = f"next: tumble export {shlex.quote(str(file))} --to {to}"
-    else:
-        there = "the rests and turns that were found" if evidence.rests else "what was found in the recording"
-        following = f"next: tumble inspect {shlex.quote(str(session))} ({there})"
+    following = _next_command(calibration, file, session, log)
     height = len(text_of([*blocks, Items(items=(*lines, "")), following], WIDTH).splitlines())
-    remarks = _fitting_remarks(calibration, MAX_LINES - height)
-    remarks[-1] += tables_at(f"{session}/session.toml", *remarks, *calibration.outcome.reasons)
+    remarks = _fitting_remarks(calibration, minor, MAX_LINES - height)
+    remarks[-1] += tables_at(f"{session}/session.toml", *remarks, *outcome.reasons)
     return [*blocks, Items(items=(*lines, *remarks)), following]
 
 
-MAX_LINES, WIDTH, MAX_REMARKS = 24, 100, 3  # lines, characters of a line, remarks without --all
+def _complete_blocks(
+    calibration: Calibration, truth: Mapping[str, float] | None, others: Sequence[Calibration], *, budget: bool
+) -> list[Block]:
+    """Return all parameters, tables, remarks and notes."""
+    parameters, evidence = calibration.parameters, calibration.evidence
+    blocks: list[Block] = [
+        _headline(calibration),
+        *_verdict_lines(calibration),
+        *improvement(calibration),
+        parameter_table(calibration, parameters, truth),
+        group_table(calibration),
+        *unknown_blocks(calibration),
+        *_budget_and_sessions(calibration, budget=budget, every=True),
+    ]
+    if evidence.launches:
+        blocks.append(launch_table(calibration, parameters))
+        if any(p.deviation is not None for p in parameters):
+            blocks.append(launch_table(calibration, parameters, deviations=True))
+    iterated = _iterated(calibration, others)
+    for each in iterated:
+        blocks += [f"method {each.method}"] if others else []
+        blocks.append(iteration_table(each, [p for p in each.parameters if p.name in calibration]))
+    blocks += [MEANING_OF_INCREMENTS] if iterated else []
+    blocks += [method_table(calibration, other, parameters) for other in others]
+    lines = _truth_lines(calibration, truth)
+    if not evidence.launches:
+        from tumble.views.report.recording import recordings, tables_of
+
+        blocks += [shown for shown in tables_of(recordings(calibration)[0]) if shown]
+    if calibration.prediction is not None:
+        lines.append(prediction_text(calibration.prediction))
+    if evidence.rests and not evidence.launches:
+        lines.append(rest_summary(evidence))
+    lines += [f"remark: {remark}" for remark in remarks_of(calibration)]
+    site = calibration.provenance.site
+    if site is not None and not site.gravity_is_unit:
+        lines.append(gravity_text(site))
+    return [*blocks, Items(items=(*lines, *notes_without_expanded(parameters), *calibration.provenance.notes))]
+
+
+def _headline(calibration: Calibration) -> str:
+    device = device_name(calibration.serial, calibration.model)
+    return f"device {device} · method {calibration.method} · frame {calibration.frame}"
+
+
+def _verdict_lines(calibration: Calibration) -> list[str]:
+    """Return the verdicts on kinds of sensors and groups that differ, then that on the whole calibration."""
+    lines = [*verdicts(calibration)]
+    if spared := accepted_groups(calibration):
+        lines.insert(-1, f"accepted groups: {', '.join(spared)}")
+    return lines
+
+
+def _budget_and_sessions(calibration: Calibration, *, budget: bool, every: bool) -> Iterator[Block]:
+    """Yield the uncertainty budget if `budget`, and a table of the sessions of a common estimate."""
+    if budget:
+        from tumble.views.uncertainty_budget import budget_blocks
+
+        yield from budget_blocks(calibration, every=every)
+    rows = []
+    for member in calibration.evidence.together:
+        low, high = (f"{celsius:z.1f}" for celsius in member.temperatures)
+        counts = {"rests": str(member.rests), "turns": str(member.turns)}
+        rows.append({"session": member.session, **counts, "from °C": low, "to °C": high})
+    yield table(rows, words=("session",))
+
+
+def _iterated(calibration: Calibration, others: Sequence[Calibration]) -> list[Calibration]:
+    """Return the calibrations by methods of the paper that have iterations."""
+    return [each for each in (calibration, *others) if each.method in ITERATED_METHODS and each.evidence.iterations]
+
+
+def _truth_lines(calibration: Calibration, truth: Mapping[str, float] | None) -> list[str]:
+    """Return a sentence on the errors of the parameters in units of u; empty without true values."""
+    if truth is None:
+        return []
+    z = np.array([(p.value - truth[p.name]) / p.u for p in calibration.parameters if p.u and p.name in truth])
+    if len(z) == 0:
+        return ["truth: no parameter was estimated that it has"]
+    rms = float(np.sqrt(np.mean(z**2)))
+    return [f"truth: {len(z)} parameters, rms of (value − truth)/u {rms:.2f}, expected about 1"]
+
+
+def _spreads(parameters: Sequence[Parameter]) -> Iterator[str]:
+    """Yield the standard deviation from launch to launch of each group, the root mean square over its parameters."""
+    units = shown_units(parameters)
+    for name, members in by_group(parameters).items():
+        size, unit = units[members[0].name]
+        rms = math.sqrt(sum((p.run_to_run or 0.0) ** 2 for p in members) / len(members))
+        yield f"{name} {significant(rms / size, 2)} {unit}"
+
+
+MAX_LINES = 24  # without --all
+MAX_REMARKS = 3  # without --all
+WIDTH = 100  # characters of a line
 _TARGETS = {"ardupilot": "ardupilot", "ulog": "px4", "ros": "kalibr"}  # by the format of a recording
 _TARGETS_BY_COLUMN = {"accSmooth[0]": "betaflight", "accelerometer_m_s2[0]": "px4"}  # of decoded logs
 
 
-def _export_target(calibration: Calibration, log: FilePath) -> tuple[str, str]:
-    """Return the export target of the format of a log, "json" for any other log, and words on a second target."""
+def _next_command(calibration: Calibration, file: FilePath, session: FilePath, log: FilePath) -> str:
+    """Return the command that follows: the export of an accepted calibration to the target of the format of its log,
+    "json" for any other log; else the inspection of its session."""
+    if not accepted_kinds(calibration):
+        what = (
+            "the rests and turns that were found" if calibration.evidence.rests else "what was found in the recording"
+        )
+        return f"next: tumble inspect {shlex.quote(str(session))} ({what})"
     readings = calibration.provenance.readings.get("accel")
-    names = (_TARGETS_BY_COLUMN.get(column) for column in (() if readings is None else readings.columns))
-    name = _TARGETS.get(format_of(Path(log)) or "") or next(filter(None, names), None)
-    if name is None and calibration.imu:  # the recording of an autopilot, converted before
-        return "px4", "ardupilot, "
-    if name == "kalibr" and len(accepted_kinds(calibration)) < 2:
-        return "ros-imu-calib", ""
-    return name or "json", ""
+    by_column = (_TARGETS_BY_COLUMN.get(column) for column in (() if readings is None else readings.columns))
+    name = _TARGETS.get(format_of(Path(log)) or "") or next(filter(None, by_column), "json")
+    others = "others"
+    if name == "json" and calibration.imu:  # the recording of an autopilot, converted before
+        name, others = "px4", "ardupilot, others"
+    elif name == "kalibr" and len(accepted_kinds(calibration)) < 2:
+        name = "ros-imu-calib"
+    return f"next: tumble export {shlex.quote(str(file))} --to {name} -o imu{target(name).ending} ({others}: --help)"
 
 
 def remarks_of(calibration: Calibration) -> tuple[str, ...]:
@@ -239,11 +280,11 @@ def _minor_assumptions(calibration: Calibration) -> list[str]:
     return minor
 
 
-def _fitting_remarks(calibration: Calibration, max_lines: int) -> list[str]:
-    """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, and a line on the others.
+def _fitting_remarks(calibration: Calibration, minor: Collection[str], max_lines: int) -> list[str]:
+    """Return at least one and at most MAX_REMARKS remarks that fit on so many lines, without the `minor` ones, and a
+    line on the others.
 
     Turns that were left out are in u, so they come after doubts and unexplained residuals and before assumptions."""
-    minor = _minor_assumptions(calibration)
     remarks = [each for each in remarks_of(calibration) if each not in minor]
     notes, shown = calibration.provenance.notes, list[str]()
     if lost := [note for note in notes if note.startswith("turn ") and " is left out" in note]:
@@ -335,21 +376,26 @@ def group_table(calibration: Calibration, *, on_page: bool = False) -> Table:
     members_of = {name: list[Parameter]() for name in findings} | by_group(further_parameters(calibration.parameters))
     for name, members in members_of.items():
         finding, entry = findings.get(name), named_group(name)
-        largest = max(members, key=lambda p: abs(p.value), default=None)
-        prior = finding.prior if finding is not None else next((p.prior for p in members if p.prior), None)
-        learned = finding.learned if finding is not None else [p.learned for p in members if p.learned is not None]
-        remark = "not determined" if largest is None else ""
-        if largest is not None and finding is not None and finding.prior_widened > WIDENED:
-            remark = f"{finding.prior_widened:.2g} times the usual size"
-        si = largest.unit if largest is not None else entry.unit if entry is not None else ""
-        size, unit = shown_in(name, si, abs(largest.value) if largest is not None else prior or 0.0)
-        value, u = ("", "") if largest is None else cells(abs(largest.value), largest.u, size)
-        row = {"group": name} | ({"what it is": name if entry is None else entry.words} if on_page else {})
+        prior = next((p.prior for p in members if p.prior), None)
+        learned: Sequence[float] = [p.learned for p in members if p.learned is not None]
+        if finding is not None:
+            prior, learned = finding.prior, finding.learned
+        if members:
+            largest = max(members, key=lambda p: abs(p.value))
+            size, unit = shown_in(name, largest.unit, abs(largest.value))
+            value, u = cells(abs(largest.value), largest.u, size)
+            ends = [f"{100.0 * end(learned):.0f}" for end in (min, max)] if learned else []
+            from_data = "–".join(dict.fromkeys(ends)) + " %" * bool(ends)
+            widened = 1.0 if finding is None else finding.prior_widened
+            remark = f"{widened:.2g} times the usual size" if widened > WIDENED else ""
+        else:
+            size, unit = shown_in(name, "" if entry is None else entry.unit, prior or 0.0)
+            value, u, from_data, remark = "", "", "", "not determined"
+        row = {"group": name}
+        row |= {"what it is": name if entry is None else entry.words} if on_page else {}
         row |= {"largest": value, "u (k=1)": u}
         row |= {"prior": "" if prior is None else significant(prior / size, 4)} if on_page else {}
-        ends = [f"{100.0 * end(learned):.0f}" for end in (min, max)] if learned and largest is not None else []
-        from_data = "–".join(dict.fromkeys(ends)) + " %" * bool(ends)
-        rows.append(row | {"unit": unit if largest or on_page else "", FROM_DATA: from_data, "": remark})
+        rows.append(row | {"unit": unit if members or on_page else "", FROM_DATA: from_data, "": remark})
     return table(rows, words=("group", "what it is", "unit", ""), dense=True)
 
 

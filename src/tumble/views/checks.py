@@ -74,20 +74,17 @@ def check_blocks(check: FieldCheck, *, rests: bool = True) -> list[Block]:
         if check.misfit is not None and not check.reasons and ratio > (check.rest_limit or math.inf):
             summary += " from the same power-on; the excess is within the usual changes from one power-on to the next"
         blocks.append(summary)
-    blocks += [] if check.misfit is None else _test_blocks(check, check.misfit)
+    units = units_of_values((test.name, test.detectable, test.unit) for test in check.parameters)
+    blocks += [] if check.misfit is None else _test_blocks(check, check.misfit, units)
     if check.reasons:
         return [*blocks, "changed"]
-    worst, units = dict[str, str](), _units_of_detectable(check)
+    worst = dict[str, str]()  # largest detectable change of a parameter by group
     for group in dict.fromkeys(group_name(test.name) for test in check.parameters):
         test = max((t for t in check.parameters if group_name(t.name) == group), key=lambda t: t.detectable)
         size, unit = units[test.name]
         worst[group] = f"{group} {two_digits(test.detectable / size)} {unit}"
     limits = f"; larger than these, it would be in nine of ten cases:\n{', '.join(worst.values())}" if worst else ""
     return [*blocks, f"no change is detected{limits}"]
-
-
-def _units_of_detectable(check: FieldCheck) -> Units:
-    return units_of_values((test.name, test.detectable, test.unit) for test in check.parameters)
 
 
 def _rest_table(rests: Sequence[CheckedRest]) -> Table:
@@ -104,7 +101,7 @@ def _rest_table(rests: Sequence[CheckedRest]) -> Table:
     return table(rows, words=("",))
 
 
-def _test_blocks(check: FieldCheck, misfit: Fit) -> Iterator[Block]:
+def _test_blocks(check: FieldCheck, misfit: Fit, units: Units) -> Iterator[Block]:
     """Yield the tests of the parameters, and of the residuals that no change explains."""
 
     def row(test: ParameterTest, size: float, unit: str) -> dict[str, str]:
@@ -113,7 +110,7 @@ def _test_blocks(check: FieldCheck, misfit: Fit) -> Iterator[Block]:
         return {"change": change, "u (k=1)": u, "change/u": ratio, "detectable": detectable, "unit": unit}
 
     if check.parameters and check.explained:  # else the changes say nothing
-        yield quantity_table(check.parameters, _units_of_detectable(check), row)
+        yield quantity_table(check.parameters, units, row)
         yield (
             f"largest |change|/u {check.largest:.2f}, at most {check.limit:.2f} in {100.0 * (1.0 - CHANCE):.1f} of "
             "100 checks where nothing has changed"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tumble.reduction.observations import Observations
+from tumble.rotation import rotation_vector
 from tumble.run.gyros_alone import WHAT_TO_RECORD, GyroRests
 from tumble.run.observed import Observed
 from tumble.units import DEGREE, DEGREE_PER_HOUR, G_STANDARD, ZERO_CELSIUS
@@ -87,16 +88,15 @@ def _rest_table(observations: Observations) -> Table:
 
 
 def _turn_table(observations: Observations) -> Table | None:
+    """Return a table of the turns: duration, angle and axis, which is empty near 0 and 180°."""
     turns, shown = observations.turns, []
     if turns is None or len(turns) == 0:
         return None
-    for k, C in enumerate(turns.C):
-        axis = np.array([C[2, 1] - C[1, 2], C[0, 2] - C[2, 0], C[1, 0] - C[0, 1]])
-        sine = 0.5 * float(np.linalg.norm(axis))
-        angle = math.atan2(sine, 0.5 * (float(np.trace(C)) - 1.0)) / DEGREE
+    for k, vector in enumerate(rotation_vector(turns.C)):
+        angle = float(np.linalg.norm(vector))
         row = {"turn": str(k + 1), "from rest": str(turns.first[k] + 1), "to rest": str(turns.last[k] + 1)}
-        row |= {"duration s": f"{turns.duration[k]:.1f}", "angle °": f"{angle:.1f}"}
-        about = " ".join(f"{v:+z.2f}" for v in axis / (2.0 * sine)) if sine > 1e-3 else ""
+        row |= {"duration s": f"{turns.duration[k]:.1f}", "angle °": f"{angle / DEGREE:.1f}"}
+        about = " ".join(f"{v:+z.2f}" for v in vector / angle) if math.sin(angle) > 1e-3 else ""
         shown.append(row | {"axis in the body": about})
     return table(shown, words=())
 

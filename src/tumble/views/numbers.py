@@ -87,22 +87,9 @@ def quantity_table(
 ) -> Table:
     """Return a table with one row for each quantity; without quantities it has no columns.
 
-    Parameters
-    ----------
-    quantities
-        Objects with names.
-    units
-        Display units by name (`shown_units`, `units_of_values`).
-    row
-        Function of a quantity, the size of its display unit in SI and the name of the unit, which returns the further
-        cells by heading.
-    name
-        Heading of the names.
-    words
-        Headings of further columns of words beside "unit".
-    caption, dense, halves
-        See `Table`.
-    """
+    `units` are display units by name (`shown_units`, `units_of_values`). `row` is called with a quantity, the size of
+    its display unit in SI and the name of the unit, and returns the cells after the name by heading. `name` is the
+    heading of the names, `words` are headings of columns of words beside "unit"; for the others see `Table`."""
     rows = [{name: q.name} | row(q, *units[q.name]) for q in quantities]
     return table(rows, words={name, "unit", *words}, caption=caption, dense=dense, halves=halves)
 

@@ -42,17 +42,20 @@ def budget_blocks(calibration: Calibration, *, every: bool = False) -> list[Bloc
 
 def share_table(calibration: Calibration) -> Table:
     """Return a table of the sources with their mean shares in u² of each group, the largest first."""
-    shares, budget, rows = shares_by_group(calibration), with_references(calibration), []
-    missing = np.zeros(len(budget) - len(calibration.evidence.budget))
-    shares = {group: np.append(share, missing) for group, share in shares.items()}
+    budget = with_references(calibration)
+    no_shares = np.zeros(len(budget) - len(calibration.evidence.budget))  # of references, which contribute nothing
+    shares = {group: np.append(share, no_shares) for group, share in shares_by_group(calibration).items()}
     by_group = np.array(list(shares.values()))
     order = np.argsort(-by_group.mean(axis=0)).tolist()
     small = [s for s in order if by_group[:, s].max() < MIN_SHARE and budget[s].name not in ALWAYS_LISTED]
+    rows = []
     for s in (s for s in order if s not in small):
-        row, (size, unit) = {"source": _words(budget[s]), "type": budget[s].type}, _unit_of(budget[s])
-        u = budget[s].u  # of a prior: that of its group; None for a source of several quantities
-        row |= {"u": "", "unit": ""} if u is None else {"u": _two_digits(u / size), "unit": unit}
-        row |= {"dof": _degrees(budget[s].dof)}
+        source = budget[s]
+        row = {"source": _words(source), "type": source.type, "u": "", "unit": ""}
+        if source.u is not None:  # of a prior: that of its group; None for a source of several quantities
+            size, unit = _unit_of(source)
+            row |= {"u": _two_digits(source.u / size), "unit": unit}
+        row["dof"] = _degrees(source.dof)
         rows.append(row | {group: percent(float(share[s])) for group, share in shares.items()})
     if small:
         sums = {group: percent(float(share[small].sum())) for group, share in shares.items()}
@@ -63,25 +66,24 @@ def share_table(calibration: Calibration) -> Table:
 
 def parameter_budget(calibration: Calibration, name: str) -> Table:
     """Return the budget of a parameter in the form of EA-4/02, with small contributions in one line."""
-    parameter, lines, rows = calibration[name], calibration.uncertainty_budget(name), []
+    parameter, lines = calibration[name], calibration.uncertainty_budget(name)
     size, unit = shown_units(calibration.parameters)[name]
-    kept = [
-        each for each in lines if each.share >= MIN_SHARE or each.name in ("launches", *REFERENCES[sensor_kind(name)])
-    ]
+    always = ("launches", *REFERENCES[sensor_kind(name)])
+    kept = [each for each in lines if each.share >= MIN_SHARE or each.name in always]
     small = sum(each.share for each in lines if each not in kept)
     if small > 0.0:
         u = math.sqrt(small) * (parameter.u or 0.0)
         others = Source(name=OTHERS, words=OTHERS, type="B", u=u, unit=parameter.unit)
         kept.append(BudgetLine.of(others, estimate=0.0, sensitivity=1.0, contribution=u, share=small))
+    rows = []
     for line in kept:
-        line_size, line_unit = _unit_of(line)
-        if line.estimate != 0.0:
-            line_size, line_unit = 1.0, line.unit.replace("^2", "²")
-        elif line.unit == parameter.unit and (line.sensitivity == 1.0 or line.name == "launches"):
-            line_size, line_unit = size, unit
         u = line.u or 0.0
-        estimate, estimate_u = cells(line.estimate, u, line_size) if u else (significant(line.estimate, 7), "0")
-        if line.estimate == 0.0:
+        if line.estimate != 0.0:  # a quantity with a value of its own, such as gravity, in SI
+            line_size, line_unit = 1.0, line.unit.replace("^2", "²")
+            estimate, estimate_u = cells(line.estimate, u, 1.0) if u else (significant(line.estimate, 7), "0")
+        else:  # an error, whose estimate is zero; if it adds to the parameter, in the unit of that
+            adds = line.unit == parameter.unit and (line.sensitivity == 1.0 or line.name == "launches")
+            line_size, line_unit = (size, unit) if adds else _unit_of(line)
             estimate, estimate_u = "0", _two_digits(u / line_size)
         rows.append(
             {

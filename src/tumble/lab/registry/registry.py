@@ -206,10 +206,12 @@ class Registry:
 
     def similar(self, record: Record) -> list[str]:
         """Return other serial numbers that differ from that of a record only by case, blanks, O for 0, or I for 1."""
-        alike = defaultdict[str, set[str]](set)
-        for serial in {record.serial, *(other.serial for other in self.records())}:
-            alike["".join(serial.upper().split()).translate(str.maketrans("OI", "01"))].add(serial)
-        return sorted(next(each for each in alike.values() if record.serial in each) - {record.serial})
+
+        def canonical(serial: str) -> str:
+            return "".join(serial.upper().split()).translate(str.maketrans("OI", "01"))
+
+        others = {other.serial for other in self.records()} - {record.serial}
+        return sorted(serial for serial in others if canonical(serial) == canonical(record.serial))
 
     def file(self, record: Record) -> str:
         """Return the text of the calibration file of a record, as it was added."""
@@ -286,7 +288,9 @@ class Registry:
 
         Raises InputError if the device does not have two launches."""
         variances = list[LaunchVariances | None]()
-        single = defaultdict[tuple[int, str], list[Calibration]](list)
+        single = defaultdict[tuple[int, str], list[Calibration]](
+            list
+        )  # of one launch, by adjustments so far and method
         adjustments = 0
         for record in self.records(serial):
             adjustments += record.state == "as-left"

@@ -130,15 +130,8 @@ class Trend:
 
 
 def trend_of(past: Sequence[tuple[Record, Calibration]], limits: Limits | None) -> Trend:
-    """Return the trend of a device.
-
-    Parameters
-    ----------
-    past
-        Records with their calibrations, in one frame and in chronological order.
-    limits
-        Acceptance limits that are in force now.
-    """
+    """Return the trend of a device from its records with their calibrations, in one frame and in chronological order,
+    and the limits that are in force now."""
     points, units = dict[str, list[Point]](), dict[str, str]()
     for record, calibration in reversed(past):  # parameters in the order of the latest calibration
         # changes (m,) by one standard uncertainty of errors that another calibration of the device may share
@@ -204,19 +197,21 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
     # changes (n, k) of the points by one standard uncertainty of each source that all of them share
     sources = [source for source in points[0].shared if all(source in p.shared for p in points)]
     shared = np.array([[p.shared[source] for source in sources] for p in points]).reshape(len(points), len(sources))
-    common = ((shared - shared.mean(axis=0)) ** 2).sum(axis=1)
-    variance = np.array([unshared_variance(p.u, None, g)[0] for p, g in zip(points, shared, strict=True)]) + common
-    launch_variances = [
-        [unshared_variance(u, None, g)[0] for _, u in p.launches] for p, g in zip(points, shared, strict=True)
-    ]
-    within = np.concatenate([np.zeros(0), *launch_variances])
-    squares = np.array([(y - np.mean([x for x, _ in p.launches])) ** 2 for p in points for y, _ in p.launches])
-    if not variance.all() or not within.all():
+    variance = ((shared - shared.mean(axis=0)) ** 2).sum(axis=1)  # u_i² (n,)
+    variance += [unshared_variance(p.u, None, g)[0] for p, g in zip(points, shared, strict=True)]
+    without_tau = variance.copy()  # v_i (n,) for τ = 0
+    count = np.ones(len(points))  # L_i (n,)
+    within, squares = list[float](), list[float]()  # u_il² and (y_il − ȳ_i)² of all launches behind means
+    for i, p in enumerate(points):
+        if p.launches:
+            of_launches = [unshared_variance(u, None, shared[i])[0] for _, u in p.launches]
+            values = np.array([value for value, _ in p.launches])
+            count[i] = len(values)
+            without_tau[i] = sum(of_launches) / len(values) ** 2
+            within += of_launches
+            squares += ((values - values.mean()) ** 2).tolist()
+    if not variance.all() or not all(within):
         return None, None
-    count = np.array([max(len(p.launches), 1) for p in points])
-    without_tau = np.array(
-        [sum(of) / len(of) ** 2 if of else v for of, v in zip(launch_variances, variance, strict=True)]
-    )
 
     # design matrix: a column for the level of each stretch, and one for the years if any stretch has two times
     stretch = np.cumsum([i > 0 and p.state == "as-left" for i, p in enumerate(points)])
@@ -233,10 +228,12 @@ def _instability_and_drift(points: Sequence[Point]) -> tuple[float | None, Drift
         z = Q.T @ (y / u)
         return z, R, float(np.sum((y / u - Q @ z) ** 2))
 
-    degrees, tau = len(points) - X.shape[1] + int((count - 1).sum()), None
-    if degrees > 0:
-        start = float(np.median(np.sqrt(variance)))
-        tau = fit_scatter(lambda s: fit_line(s)[2] + float(np.sum(squares / (within + s**2))) - degrees, start)
+    def excess(tau: float) -> float:
+        """Return the sum of both chi-squares less its degrees of freedom."""
+        return float(fit_line(tau)[2] + np.sum(np.array(squares) / (np.array(within) + tau**2)) - degrees)
+
+    degrees = len(points) - X.shape[1] + int((count - 1.0).sum())
+    tau = fit_scatter(excess, float(np.median(np.sqrt(variance)))) if degrees > 0 else None
     if not has_drift:
         return tau, None
     z, R, _ = fit_line(tau or 0.0)

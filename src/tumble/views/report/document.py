@@ -83,9 +83,11 @@ def sources_of(calibrations: Calibration | FilePath | Sequence[Calibration | Fil
     sources = []
     for each in listed:
         text, name = text_and_name(each)
-        content = text.encode() if isinstance(each, Calibration) else Path(each).read_bytes()
-        file, digest = name if isinstance(each, Calibration) else Path(each).name, hashlib.sha256(content).hexdigest()
-        sources.append(ReportedFile(file=file, sha256=digest, calibration=calibration_of(text, name)))
+        content, file = text.encode(), name
+        if not isinstance(each, Calibration):
+            content, file = Path(each).read_bytes(), Path(each).name
+        calibration = calibration_of(text, name)
+        sources.append(ReportedFile(file=file, sha256=hashlib.sha256(content).hexdigest(), calibration=calibration))
     return sources
 
 
@@ -109,7 +111,8 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
 
     Calibrations by one method are named by a number and the date of the recording too. Raises InputError for
     calibrations of several devices."""
-    calibrations, first, several = [source.calibration for source in sources], sources[0].calibration, len(sources) > 1
+    calibrations = [source.calibration for source in sources]
+    first = calibrations[0]
     for source in sources[1:]:
         if source.calibration.serial != first.serial:
             raise InputError(
@@ -131,7 +134,7 @@ def report_of(sources: Sequence[ReportedFile], further_sections: Sequence[Sequen
             result.unknown(calibration),
             provenance(source),
         ]
-        parts.append(Part(title=title if several else "", sections=tuple(filter(None, sections))))
+        parts.append(Part(title=title if len(sources) > 1 else "", sections=tuple(filter(None, sections))))
     verdict, tone = verdict_on(calibrations)
     return Document(
         title="Calibration report",
@@ -228,7 +231,8 @@ def front(first: Calibration, titles: Sequence[str]) -> tuple[tuple[str, str], .
         clock = first.provenance.clock_u
         rows.append(("time base", f"U = {significant(2e6 * clock, 2)} ppm (k = 2)" if clock else "taken as exact"))
         rows.append(("rate of the Earth", f"{significant(EARTH_RATE, 7)} rad/s, taken as exact"))
-    circumstances, air = first.provenance.circumstances, first.provenance.circumstances.conditions
+    circumstances = first.provenance.circumstances
+    air = circumstances.conditions
     if air.temperature_degC is not None:
         u = "" if air.temperature_u is None else f", U = {significant(2.0 * air.temperature_u, 2)} °C (k = 2)"
         rows.append(("air temperature", f"{fixed(air.temperature_degC, 1)} °C{u}"))

@@ -127,9 +127,9 @@ def _rest_table(recording: RecordedSession) -> Table:
         row |= {"start s": f"{rest.start:z.1f}", "stop s": f"{rest.stop:z.1f}"}
         if verticals is not None:
             row |= {axis: f"{v:z.3f}" for axis, v in zip("XYZ", verticals[i], strict=True)}
-            if programmed and position is None:
+            if programmed:
                 row["off °"] = ""
-            elif programmed and position is not None:
+            if position is not None:
                 nominal, vertical = position.vertical_b, verticals[i]
                 off = math.atan2(np.linalg.norm(np.cross(nominal, vertical)), nominal @ vertical)
                 row["off °"] = fixed(off / DEGREE, 2)

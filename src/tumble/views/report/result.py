@@ -63,8 +63,9 @@ _MAX_LARGE_COLUMNS = 9  # columns that fit on a page in the larger type
 
 def result(calibration: Calibration, name: str) -> Section:
     """Return the result: verdict, remarks, errors before and after as a figure of this `name`, parameters with U."""
-    sentences = improvement(calibration)
-    blocks: list[Block] = [Items(items=tuple(f"{each[0].upper()}{each[1:]}" for each in sentences))]
+    blocks: list[Block] = []
+    if sentences := improvement(calibration):
+        blocks.append(Items(items=tuple(f"{each[0].upper()}{each[1:]}" for each in sentences)))
     usable = accepted_kinds(calibration)
     if any(p.u and sensor_kind(p.name) in usable for p in linear_parameters(calibration.parameters)):
         caption = (
@@ -72,7 +73,7 @@ def result(calibration: Calibration, name: str) -> Section:
             "by its standard uncertainty (colour)."
         )
         blocks.append(Figure(svg=before_and_after(name, calibration), caption=caption))
-    return section("Result", *verdict_blocks(calibration), *blocks[not sentences :], *value_blocks(calibration))
+    return section("Result", *verdict_blocks(calibration), *blocks, *value_blocks(calibration))
 
 
 def before_and_after(name: str, calibration: Calibration) -> str:
