@@ -273,14 +273,24 @@ def _estimated(observed: Observed, options: Options) -> tuple[Estimate, Observat
     observations = observations_for_calibration(observed, joint=options.method == "joint")
     if isinstance(observations, Outcome):
         return observations
-    result = estimate_observations(observed.session, observations, options)
     if observations.links is not None:
         at_rest = observations_for_calibration(observed, joint=True, motion=False)
         if isinstance(at_rest, Observations):
-            by_rests = estimate_observations(observed.session, at_rest, options)
-            if isinstance(result, Outcome) or not (isinstance(by_rests, Outcome) or improves(result[0], by_rests[0])):
-                result, observations = by_rests, at_rest
+            moving = _at_maximum(prepared(observed.session, observations, options))
+            still = _at_maximum(prepared(observed.session, at_rest, options))
+            if moving is None or not (still is None or improves(moving, still)):
+                observations = at_rest
+    result = estimate_observations(observed.session, observations, options)
     return result if isinstance(result, Outcome) else (*result, observations)
+
+
+def _at_maximum(observations: Observations) -> Estimate | None:
+    """Return the joint estimate at the maximum of its hyperparameters; None if it breaks down."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples
+            return joint(observations, intervals=False)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def _with_remarks(
@@ -326,26 +336,30 @@ def passport_values(session: Session) -> Mapping[str, float]:
     return {p.name: p.value for p in passport.parameters}
 
 
+def prepared(session: Session, observations: Observations, options: Options) -> Observations:
+    """Return observations with what the session and the options state: grade, clock, and values to start from."""
+    prior, clock, log = options.prior, options.clock, session.log
+    observations = with_grade(session, observations)
+    return replace(
+        observations,
+        start=passport_values(session),
+        by_clock=clock_effects(log.time_base_u, log.increments) | dict(clock.changes if clock else {}),
+        unstamped=log.unstamped,
+        in_run={**observations.in_run, **(prior.in_run if prior is not None else {})},
+    )
+
+
 def estimate_observations(
     session: Session, observations: Observations, options: Options
 ) -> tuple[Estimate, Observations] | Outcome:
     """Return the estimate and its observations, or an Outcome with the reason if there is none."""
-    prior, clock, log = options.prior, options.clock, session.log
-    by_clock = clock_effects(log.time_base_u, log.increments) | dict(clock.changes if clock else {})
-    observations = with_grade(session, observations)
-    observations = replace(
-        observations,
-        start=passport_values(session),
-        by_clock=by_clock,
-        unstamped=log.unstamped,
-        in_run={**observations.in_run, **(prior.in_run if prior is not None else {})},
-    )
+    observations, prior = prepared(session, observations, options), options.prior
     notes = observations.notes
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples
             estimate = options.estimate(observations)
         if estimate.method != "joint":  # the method joint includes the time base
-            estimate = _with_clock(estimate, by_clock)
+            estimate = _with_clock(estimate, observations.by_clock)
         if options.terms == "linear" or estimate.method != "joint":
             if estimate.groups:
                 notes += (
