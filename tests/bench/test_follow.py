@@ -321,12 +321,18 @@ def test_accelerometers_in_counts_are_said_to_read_no_gravity(
     assert answers(bench).keys() == {"go_on"}
 
 
-def test_faults_pass_when_they_are_over(opened: Callable[..., Bench]) -> None:
+def with_gap(opened: Callable[..., Bench]) -> Bench:
+    """A bench on which the log has lost 0.6 s after two positions."""
     bench = opened("nine")
     bench.until(lambda: bench.screen == "turn")
     bench.take(2)
     bench.unit.mischief("lose", 0.6)
     named(bench, "gap of 0.6 s", later=1.0)
+    return bench
+
+
+def test_faults_pass_when_they_are_over(opened: Callable[..., Bench]) -> None:
+    bench = with_gap(opened)
     bench.unit.go_to(2)
     bench.moved()
     bench.until(lambda: bench.screen == "turn")
@@ -348,11 +354,7 @@ def test_faults_pass_when_they_are_over(opened: Callable[..., Bench]) -> None:
 
 
 def test_a_gap_is_over_once_a_later_position_was_left_however_early(opened: Callable[..., Bench]) -> None:
-    bench = opened("nine")
-    bench.until(lambda: bench.screen == "turn")
-    bench.take(2)
-    bench.unit.mischief("lose", 0.6)
-    named(bench, "gap of 0.6 s", later=1.0)
+    bench = with_gap(opened)
     for position in (2, 3):
         assert bench.screen == "fault"
         bench.unit.go_to(position)

@@ -142,6 +142,13 @@ def test_two_bad_samples_within_each_others_reach_are_both_found() -> None:
     np.testing.assert_array_equal(bad_in(values).at, [150, 156])
 
 
+def test_bad_samples_are_in_order_where_a_shorter_run_is_found_first() -> None:
+    values = turned(np.random.default_rng(5))
+    values[[150, 151], 3] = 500.0
+    values[155, 4] = 900.0
+    np.testing.assert_array_equal(bad_in(values).at, [150, 151, 155])
+
+
 def test_blows_and_jerks_are_no_bad_samples() -> None:
     """What a body feels in several axes, be it within a sample; what rings; a step of a rate; noise of 17 minutes."""
     rng = np.random.default_rng(4)

@@ -156,11 +156,8 @@ def posterior(fitted: Maximum, *, integrate: bool = True, by_source: bool = True
     if not (len(proposal.outer) or len(proposal.inner)):
         return _at_maximum(fitted, by_source)
     draws, error = _sampled(fitted, proposal)
-    phi, weight, parameters = (
-        draws.phi.reshape(-1, len(fitted.phi)),
-        draws.weight.ravel(),
-        len(fitted.solution.parameters),
-    )
+    phi, weight = draws.phi.reshape(-1, len(fitted.phi)), draws.weight.ravel()
+    parameters = len(fitted.solution.parameters)
     typical = weight @ phi  # root-mean-square standard deviations and geometric-mean times
     for i, h in enumerate(fitted.hyperparameters):
         if h.kind != "time":

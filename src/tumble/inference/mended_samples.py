@@ -12,9 +12,9 @@ size times the interval to Δv; one of rate adds an angle to φ, and through it 
 
 A suspect that is too large for a blow is replaced in any case. The parameters are those of the linear model at a robust
 maximum, at first from turns in which all suspects are replaced, which lack blows but contain no corrupt sample, then
-from those that result. With Q = |φ|²/σ_φ² + |Δv|²/σ_v² of a turn, σ² being medians over
-the turns, all suspects of a turn are replaced at first unless Q is smaller by ALIKE with the recorded samples. Then
-runs of suspects are replaced or put back one by one if Q falls, until none changes (at most ROUNDS times).
+from those that result. With Q = |φ|²/σ_φ² + |Δv|²/σ_v² of a turn, σ² being medians over the turns, all suspects of a
+turn are replaced at first unless Q is smaller by ALIKE with the recorded samples. Then runs of suspects are replaced or
+put back one by one if Q falls, until none changes (at most ROUNDS times).
 """
 
 from __future__ import annotations

@@ -144,7 +144,7 @@ def bad_samples_of_turns(
 
 
 def _find_bad(values: Array, dt: Array, n_band: int, least: Array, tuning: Tuning) -> Iterator[tuple[int, Array]]:
-    """Yield indices of bad samples among rates and forces (m, 6) at intervals (m,), with their replacements.
+    """Yield ascending indices of bad samples among rates and forces (m, 6) at intervals (m,), with their replacements.
 
     The band is that of `n_band` samples on either side."""
     reach = tuning.longest_run + 2
@@ -156,11 +156,16 @@ def _find_bad(values: Array, dt: Array, n_band: int, least: Array, tuning: Tunin
     sides[gap:] = largest[:-gap]
     sides[:-gap] = np.maximum(sides[:-gap], largest[gap:])
     suspects = np.flatnonzero((off > np.maximum(tuning.band_beyond * sides, least)).any(axis=1))
+    if not len(suspects):
+        return
     values = values.copy()
-    for group in np.split(suspects, np.flatnonzero(np.diff(suspects) > reach) + 1) if len(suspects) else ():
-        while run := list(_bad_run(values, dt, (int(group[0]), int(group[-1]) + 1), n_band, least, tuning)):
-            values[[at for at, _ in run]] = [replacement for _, replacement in run]
-            yield from run
+    for group in np.split(suspects, np.flatnonzero(np.diff(suspects) > reach) + 1):
+        among, bad = (int(group[0]), int(group[-1]) + 1), dict[int, Array]()
+        # a run may hide another one; no sample is replaced twice, so that this ends
+        while run := {at: row for at, row in _bad_run(values, dt, among, n_band, least, tuning) if at not in bad}:
+            values[list(run)] = list(run.values())
+            bad |= run
+        yield from ((at, bad[at]) for at in sorted(bad))
 
 
 def _sliding_maximum(values: Array, width: int) -> Array:
