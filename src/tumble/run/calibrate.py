@@ -259,7 +259,7 @@ def _accelerometers_alone(
     concerned = [outcome.concerns.get(reason, ("",))[0] for reason in outcome.accel.reasons]
     if not concerned or not all(part.startswith("gyro") for part in concerned):
         return None
-    result = estimate_observations(session, observations.of_accelerometers(), options)
+    result = estimate_observations(session, prepared(session, observations.of_accelerometers(), options), options)
     if isinstance(result, Outcome):
         return None
     alone = build_calibration(session, *result, options.frame, origin)
@@ -273,14 +273,15 @@ def _estimated(observed: Observed, options: Options) -> tuple[Estimate, Observat
     observations = observations_for_calibration(observed, joint=options.method == "joint")
     if isinstance(observations, Outcome):
         return observations
+    ready = prepared(observed.session, observations, options)
     if observations.links is not None:
         at_rest = observations_for_calibration(observed, joint=True, motion=False)
         if isinstance(at_rest, Observations):
-            moving = _at_maximum(prepared(observed.session, observations, options))
-            still = _at_maximum(prepared(observed.session, at_rest, options))
+            ready_at_rest = prepared(observed.session, at_rest, options)
+            moving, still = _at_maximum(ready), _at_maximum(ready_at_rest)
             if moving is None or not (still is None or improves(moving, still)):
-                observations = at_rest
-    result = estimate_observations(observed.session, observations, options)
+                observations, ready = at_rest, ready_at_rest
+    result = estimate_observations(observed.session, ready, options)
     return result if isinstance(result, Outcome) else (*result, observations)
 
 
@@ -352,9 +353,8 @@ def prepared(session: Session, observations: Observations, options: Options) -> 
 def estimate_observations(
     session: Session, observations: Observations, options: Options
 ) -> tuple[Estimate, Observations] | Outcome:
-    """Return the estimate and its observations, or an Outcome with the reason if there is none."""
-    observations, prior = prepared(session, observations, options), options.prior
-    notes = observations.notes
+    """Return the estimate of `prepared` observations, and these, or an Outcome with the reason if there is none."""
+    prior, notes = options.prior, observations.notes
     try:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # damaged samples
             estimate = options.estimate(observations)

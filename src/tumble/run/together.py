@@ -23,7 +23,7 @@ from tumble.recording.session_file import session_from
 from tumble.reduction.observations import Observations, join_sessions
 from tumble.result.calibration import Calibration
 from tumble.result.parts import Member
-from tumble.run.calibrate import Options, assumptions, estimate_observations
+from tumble.run.calibrate import Options, assumptions, estimate_observations, prepared
 from tumble.run.from_estimate import assemble, build_calibration, origin_of, parameters_of
 from tumble.run.launches import check_recordings, joint_circumstances
 from tumble.run.observed import Progress, inspect_session, observations_for_calibration, observations_in_parts
@@ -117,7 +117,8 @@ def calibrate_together(
     turned = [session.log for session, member in zip(described, members, strict=True) if member.turns]
     clock = max(turned or [session.log for session in described], key=lambda log: log.time_base_u)
     first = replace(first, log=replace(first.log, clock_u=clock.clock_u))
-    result = estimate_observations(first, _joined(described, members, parts), Options(frame=frame))
+    options = Options(frame=frame)
+    result = estimate_observations(first, prepared(first, _joined(described, members, parts), options), options)
     if isinstance(result, Outcome):
         return assemble(first, "joint", result, provenance)
     calibration = build_calibration(first, *result, frame, provenance | assumptions(first))
