@@ -104,11 +104,11 @@ def calibrate(
         raise InputError(
             f"--together: expected the method {params.METHOD_NAMES[0]!r} with all terms and no iterations, found others"
         )
-    true_values = None
+    truth_by_name, true_values = None, None
     if truth is not None:  # read before anything is computed
         from tumble.simulation.session import read_truth
 
-        true_values = read_truth(truth)
+        truth_by_name = read_truth(truth)
     if base is not None:
         if len(sessions) > 1 or together or methods != ("joint",):
             raise InputError("--base: expected one recording and the method joint, found others")
@@ -132,11 +132,11 @@ def calibrate(
         result, *others = results
         target = out or Path(described[0].name) / "calibration.json"
         result.write(target, force=force)
-    if true_values is not None:
+    if truth_by_name is not None:
         from tumble.result.record import reference_of_parameter
         from tumble.simulation.temperature_profile import truth_at
 
-        true_values = truth_at(true_values, result.reference_temperature, partial(reference_of_parameter, result))
+        true_values = truth_at(truth_by_name, result.reference_temperature, partial(reference_of_parameter, result))
     console.show(
         lambda: result.content() | ({"others": [other.content() for other in others]} if others else {}),
         lambda: calibration_blocks(
